@@ -34,6 +34,7 @@ __all__ = [
     "plane_angle",
     "plane_direction",
     "rotation_base_sensor",
+    "spun_push",
     "wrap_angle",
 ]
 
@@ -163,27 +164,59 @@ def carried_push(
 
     Signs as in (13)-(14) of Kaneko1998: m = s y x f = s (f_z, 0, -f_x).
     """
-    t1, t2 = touch[:, 0], touch[:, 1]
-    turn = phi1 - t1
-    ct, st = np.cos(turn), np.sin(turn)
-    ca, sa = np.cos(t2), np.sin(t2)
-    cb, sb = np.cos(phi2), np.sin(phi2)
-    # The beam's direction and the sensor's x axis now, in the sensor frame at touch: Rx(-t2) Rz(turn) Rx(phi2).
-    dx, dy, dz = -st * cb, ca * ct * cb + sa * sb, -sa * ct * cb + ca * sb
-    xx, xy, xz = ct, ca * st, -sa * st
-    # The frame carried without spin is the smallest rotation that takes y to d; its x axis is e_x - dx (y + d)/(1 + dy).
-    share = dx / (1.0 + dy)
-    cos_spin = xx - share * (dx * xx + (1.0 + dy) * xy + dz * xz)
-    share_z = dz / (1.0 + dy)
-    sin_spin = xz - share_z * (dx * xx + (1.0 + dy) * xy + dz * xz)
-    now = np.stack((-moment[:, 1], moment[:, 0]), axis=1)  # (m, 2), in the spun frame
-    force = np.empty_like(now)
+    turn = phi1 - touch[:, 0]
+    d, cos_spin, sin_spin = _direction_and_spin(turn, phi2, touch[:, 1])
+    now_x, now_z = -moment[:, 1], moment[:, 0]
+    force = np.empty_like(moment)
     # x_s(now) = cos_spin x + sin_spin z in the carried frame, and z_s(now) = -sin_spin x + cos_spin z.
-    force[:, 0] = cos_spin * now[:, 0] - sin_spin * now[:, 1]
-    force[:, 1] = sin_spin * now[:, 0] + cos_spin * now[:, 1]
+    force[:, 0] = cos_spin * now_x - sin_spin * now_z
+    force[:, 1] = sin_spin * now_x + cos_spin * now_z
     cp, sp = np.cos(phi), np.sin(phi)
-    ahead, aside = dx * cp + dz * sp, -dx * sp + dz * cp
-    return CarriedPush(theta=np.arctan2(ahead, dy), sideways=np.arcsin(np.clip(aside, -1.0, 1.0)), force=force)
+    ahead, aside = d[0] * cp + d[2] * sp, d[2] * cp - d[0] * sp
+    return CarriedPush(theta=np.arctan2(ahead, d[1]), sideways=np.arcsin(np.clip(aside, -1.0, 1.0)), force=force)
+
+
+def spun_push(
+    theta: FloatArray, force: FloatArray, *, touch: FloatArray, phi: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Joint angles and sensed moments of a push, from what holds in the carried frame; inverse of :func:`carried_push`.
+
+    Args:
+        theta: (m,) rad, angle along the great circle.
+        force: (m, 2) N m, (s f_x, s f_z) in the carried frame.
+        touch: (m, 2) rad, joint angles at touch.
+        phi: (m,) rad, direction of the push in Pi at touch.
+
+    Returns:
+        Joint angles (m, 2) rad and moments (m_x, m_z) (m, 2) N m in the sensor frame of each sample.
+    """
+    t2 = touch[:, 1]
+    ahead, ca, sa = np.sin(theta), np.cos(t2), np.sin(t2)
+    dx, dy, dz = ahead * np.cos(phi), np.cos(theta), ahead * np.sin(phi)
+    turn = np.arctan2(-dx, ca * dy - sa * dz)
+    phi2 = np.arcsin(np.clip(sa * dy + ca * dz, -1.0, 1.0))
+    _, cos_spin, sin_spin = _direction_and_spin(turn, phi2, t2)
+    moment = np.empty_like(force)
+    moment[:, 1] = -(cos_spin * force[:, 0] + sin_spin * force[:, 1])
+    moment[:, 0] = cos_spin * force[:, 1] - sin_spin * force[:, 0]
+    return np.stack((touch[:, 0] + turn, phi2), axis=1), moment
+
+
+def _direction_and_spin(
+    turn: FloatArray, phi2: FloatArray, touch2: FloatArray
+) -> tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray, FloatArray]:
+    """Beam direction in the sensor frame at touch, cosine and sine of the spin about the beam.
+
+    The rotation from touch to now is Rx(-touch2) Rz(turn) Rx(phi2). The frame carried without spin is the smallest
+    rotation that takes y to d; its x axis is e_x - dx (y + d)/(1 + dy), its z axis e_z - dz (y + d)/(1 + dy).
+    """
+    ct, st = np.cos(turn), np.sin(turn)
+    ca, sa = np.cos(touch2), np.sin(touch2)
+    cb, sb = np.cos(phi2), np.sin(phi2)
+    dx, dy, dz = -st * cb, ca * ct * cb + sa * sb, -sa * ct * cb + ca * sb
+    xx, xy, xz = ct, ca * st, -sa * st  # x_s now
+    common = (dx * xx + (1.0 + dy) * xy + dz * xz) / (1.0 + dy)
+    return (dx, dy, dz), xx - dx * common, xz - dz * common
 
 
 @dataclass(frozen=True, slots=True, eq=False)
