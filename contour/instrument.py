@@ -145,6 +145,8 @@ class ApproachReading:
     """(n,) m, along that direction from the start of the motion to ``pose``."""
     samples: Samples
     """The last samples in free air, those of the touch and of standing at its edge; none where nothing was touched."""
+    depth_per_sample: float
+    """m moved between two samples of the guarded move."""
 
     @property
     def touched(self) -> NDArray[np.bool_]:
@@ -240,7 +242,7 @@ def _pack(prefix: str, reading: _Reading) -> dict[str, NDArray[np.generic]]:
         if isinstance(value, Samples):
             arrays.update({f"{prefix}/samples.{name}": getattr(value, name) for name in _SAMPLE_FIELDS})
         else:
-            arrays[f"{prefix}/{field.name}"] = value
+            arrays[f"{prefix}/{field.name}"] = np.asarray(value)
     return arrays
 
 
@@ -367,7 +369,8 @@ class ReplayInstrument:
             if field.name == "samples":
                 values["samples"] = Samples(**{name: found[f"samples.{name}"] for name in _SAMPLE_FIELDS})  # type: ignore[arg-type]
             else:
-                values[field.name] = found[field.name]
+                value = found[field.name]
+                values[field.name] = value if value.ndim else value.item()
         return _KINDS[kind](**values)  # type: ignore[arg-type]
 
     def zero(self, which: IntArray) -> ZeroReading:
