@@ -29,7 +29,7 @@ class Regions:
     """n convex regions in which to look for faces: lo <= g . p <= hi for each slab, within reach of the centre."""
 
     slabs: FloatArray
-    """g, shape (n, k, 3), k >= 2; the slab that excludes most comes first."""
+    """g, shape (n, k, 3), k >= 2; the slab that excludes most boxes comes first."""
     low: FloatArray
     """(n, k)."""
     high: FloatArray
@@ -68,6 +68,10 @@ def _order(triangles: FloatArray, leaves: int, per_leaf: int) -> IntArray:
     return order
 
 
+def _fours(boxes: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(boxes.reshape(-1, 4, 3).transpose(0, 2, 1))
+
+
 class Bvh:
     """The tree over triangles (f, 3, 3) [m]."""
 
@@ -79,19 +83,20 @@ class Bvh:
         order = _order(triangles, leaves, per_leaf)
         self.leaf_faces: IntArray = order.reshape(leaves, per_leaf)
         """Faces of each leaf (leaves, m)."""
-        self.leaf_vertices: FloatArray = np.ascontiguousarray(triangles[order]).reshape(leaves, 3 * per_leaf, 3)
-        """Their vertices (leaves, 3 m, 3) [m], three in a row to a face."""
-        low = self.leaf_vertices.min(axis=1)
-        high = self.leaf_vertices.max(axis=1)
-        self._centres: list[FloatArray] = []
-        self._halves: list[FloatArray] = []
-        while True:
-            self._centres.insert(0, 0.5 * (low + high))
-            self._halves.insert(0, 0.5 * (high - low))
-            if len(low) <= ROOT_NODES:
-                break
+        vertices = triangles[order].reshape(leaves, 3 * per_leaf, 3)
+        self.leaf_vertices: FloatArray = np.ascontiguousarray(vertices.transpose(0, 2, 1))
+        """Their vertices (leaves, 3 coordinates, 3 m) [m], three in a row to a face."""
+        low, high = vertices.min(axis=1), vertices.max(axis=1)
+        self._centres = [0.5 * (low + high)]  # root first, (nodes, 3)
+        self._halves = [0.5 * (high - low)]
+        while len(low) > ROOT_NODES:
             low = low.reshape(-1, 4, 3).min(axis=1)
             high = high.reshape(-1, 4, 3).max(axis=1)
+            self._centres.insert(0, 0.5 * (low + high))
+            self._halves.insert(0, 0.5 * (high - low))
+        # Coordinates before children: sums then run over contiguous quadruples.
+        self._centre_fours = [_fours(level) for level in self._centres[1:]]
+        self._half_fours = [_fours(level) for level in self._halves[1:]]
 
     def leaves_in(self, regions: Regions) -> tuple[IntArray, IntArray]:
         """Pairs (region, leaf), sorted by region, that may hold a face inside the region."""
@@ -117,18 +122,18 @@ class Bvh:
     ) -> tuple[IntArray, IntArray]:
         centre, half = self._centres[level], self._halves[level]
         g = regions.slabs[:, 0].take(region, axis=0)
-        middle = np.einsum("kcj,kj->kc", centre.reshape(-1, 4, 3).take(parent, axis=0), g)
-        spread = np.einsum("kcj,kj->kc", half.reshape(-1, 4, 3).take(parent, axis=0), np.abs(g))
+        middle = np.einsum("kjc,kj->kc", self._centre_fours[level - 1].take(parent, axis=0), g)
+        spread = np.einsum("kjc,kj->kc", self._half_fours[level - 1].take(parent, axis=0), np.abs(g))
         low = regions.low[:, 0].take(region)[:, None]
         high = regions.high[:, 0].take(region)[:, None]
         row, child = np.nonzero((middle - spread <= high) & (middle + spread >= low))
         region, node = region.take(row), 4 * parent.take(row) + child
         g = regions.slabs[:, 1:].take(region, axis=0)
-        middle = np.einsum("ksj,kj->ks", g, centre.take(node, axis=0))
-        spread = np.einsum("ksj,kj->ks", np.abs(g), half.take(node, axis=0))
-        meets = middle - spread <= regions.high[:, 1:].take(region, axis=0)
-        meets &= middle + spread >= regions.low[:, 1:].take(region, axis=0)
-        keep = np.nonzero(meets.all(axis=1))[0]
+        middle = np.einsum("ksj,kj->sk", g, centre.take(node, axis=0))
+        spread = np.einsum("ksj,kj->sk", np.abs(g), half.take(node, axis=0))
+        meets = middle - spread <= regions.high.T[1:].take(region, axis=1)
+        meets &= middle + spread >= regions.low.T[1:].take(region, axis=1)
+        keep = np.nonzero(np.logical_and.reduce(meets, axis=0))[0]
         region, node = region.take(keep), node.take(keep)
         if regions.centre is None or regions.reach is None:
             return region, node

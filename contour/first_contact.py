@@ -29,10 +29,10 @@ IntArray = NDArray[np.int64]
 
 CHUNK = 512
 """Beams solved at once: their candidates then stay in the cache."""
-SLIDE_FAN, SLIDE_FAN_FINE = 24, 8
+SLIDE_FAN, SLIDE_FAN_FINE = 16, 6
 """Rays along the motion from points of the beam, and between the best one's neighbours."""
-TURN_FAN, TURN_FAN_FINE = 16, 12
-"""Rays along the beam at angles of the sweep, and between the first that hits and the one before it."""
+TURN_FAN, TURN_ROUNDS = 8, 3
+"""Rays along the beam at angles of the sweep, and how often the step before the first hit is divided again."""
 TIE = 1e-7
 """Parts of the surface within this distance of the beam at the touch count as touched as well [m]."""
 SLACK = 1e-9
@@ -316,9 +316,22 @@ class FirstContactSolver:
         return touches
 
     def _narrow(self, motions: Motions, pieces: Callable[[FloatArray, FloatArray], _Pieces]) -> Touches:
-        bound = np.minimum(self._bound(motions, pieces), motions.limit)
-        owner, leaf = self.bvh.leaves_in(_swept(motions, bound))
-        owner, face, local = self._crossing(motions, owner, leaf)
+        proposed = self._bound(motions, pieces)
+        touches = self._within(motions, np.minimum(proposed, motions.limit), pieces)
+        # A face that only just crosses the plane may be judged otherwise in the search than in the bound, by
+        # the last digit of a coordinate. Nothing then bears the bound out, and the whole sweep is searched.
+        doubtful = np.nonzero((proposed <= motions.limit) & (touches.travel > proposed + SLACK))[0]
+        if len(doubtful):
+            some = motions.rows(doubtful)
+            _put(touches, doubtful, self._within(some, some.limit, pieces))
+        return touches
+
+    def _within(
+        self, motions: Motions, bound: FloatArray, pieces: Callable[[FloatArray, FloatArray], _Pieces]
+    ) -> Touches:
+        regions = _swept(motions, bound)
+        owner, leaf = self.bvh.leaves_in(regions)
+        owner, face, local = self._crossing(motions, regions, owner, leaf)
         return _reduce(motions, owner, face, pieces(local, motions.length.take(owner)))
 
     def _axial(self, motions: Motions) -> Touches:
@@ -329,28 +342,36 @@ class FirstContactSolver:
         high = np.stack([zero, zero, motions.length + np.where(forward, motions.limit, 0.0)], axis=1) + SLACK
         order = motions.frame[:, [2, 1, 0]]
         shift = np.einsum("nsj,nj->ns", order, motions.base)
-        owner, leaf = self.bvh.leaves_in(Regions(slabs=order, low=low + shift, high=high + shift))
-        owner, face, local = self._crossing(motions, owner, leaf)
+        regions = Regions(slabs=order, low=low + shift, high=high + shift)
+        owner, leaf = self.bvh.leaves_in(regions)
+        owner, face, local = self._crossing(motions, regions, owner, leaf)
         found = _axial_pieces(local, motions.length.take(owner), forward.take(owner))
         return _reduce(motions, owner, face, found)
 
     def _crossing(
-        self, motions: Motions, owner: IntArray, leaf: IntArray
+        self, motions: Motions, regions: Regions, owner: IntArray, leaf: IntArray
     ) -> tuple[IntArray, IntArray, FloatArray]:
         """Candidates that cross the swept plane: owner (k,), face (k,), local vertices (k, 3, 3)."""
         vertices = self.bvh.leaf_vertices.take(leaf, axis=0)
         shift = np.einsum("nsj,nj->ns", motions.frame, motions.base)
-        z = np.einsum("kvj,kj->kv", vertices, motions.frame[:, 2].take(owner, axis=0))
+        z = np.einsum("kjv,kj->kv", vertices, motions.frame[:, 2].take(owner, axis=0))
         z -= shift[:, 2].take(owner)[:, None]
-        above = (z >= 0.0).reshape(len(leaf), -1, 3)
-        row, slot = np.nonzero(above.any(axis=2) & ~above.all(axis=2))
+        front = np.einsum("kjv,kj->kv", vertices, regions.slabs[:, 1].take(owner, axis=0))
+        reached = (front <= regions.high[:, 1].take(owner)[:, None]).view(np.int8).reshape(len(leaf), -1, 3)
+        above = (z >= 0.0).view(np.int8).reshape(reached.shape)
+        count = above[..., 0] + above[..., 1] + above[..., 2]
+        near = reached[..., 0] | reached[..., 1] | reached[..., 2]
+        row, slot = np.nonzero(((count == 1) | (count == 2)) & (near > 0))
+        item = row * above.shape[1] + slot
         owner = owner.take(row)
-        corners = vertices.reshape(-1, 3, 3).take(row * above.shape[1] + slot, axis=0)
-        local = np.einsum("kvj,ksj->kvs", corners, motions.frame.take(owner, axis=0))
+        face = self.bvh.leaf_faces.take(leaf.take(row) * above.shape[1] + slot)
+        local = np.einsum(
+            "kvj,ksj->kvs", self.triangles.take(face, axis=0), motions.frame.take(owner, axis=0)
+        )
         local -= shift.take(owner, axis=0)[:, None]
         # The very values that the crossing was judged by: a recomputed sign could differ in the last digit.
-        local[..., 2] = z.reshape(-1, 3).take(row * above.shape[1] + slot, axis=0)
-        return owner, self.bvh.leaf_faces.take(leaf.take(row), axis=0)[np.arange(len(row)), slot], local
+        local[..., 2] = z.reshape(-1, 3).take(item, axis=0)
+        return owner, face, local
 
     def _bound(self, motions: Motions, pieces: Callable[[FloatArray, FloatArray], _Pieces]) -> FloatArray:
         """Exact travel to one face that the rays propose (n,): an upper bound, inf where they found none."""
@@ -392,25 +413,24 @@ class FirstContactSolver:
         """Face (n,) that rays along the turning beam meet first; -1 for none."""
         n = len(motions.base)
         rows = np.arange(n)
-        share = np.broadcast_to(np.arange(TURN_FAN + 1) / TURN_FAN, (n, TURN_FAN + 1))
-        face = self._rays_along(motions, share)
-        best = np.argmax(face >= 0, axis=1)
-        found = face[rows, best]
-        fine = (np.arange(TURN_FAN_FINE) + 1.0) / (TURN_FAN_FINE + 1.0) - 1.0
-        face = self._rays_along(motions, np.maximum(share[rows, best][:, None] + fine / TURN_FAN, 0.0))
-        best = np.argmax(face >= 0, axis=1)
-        finer = face[rows, best]
-        return np.where((found >= 0) & (finer >= 0), finer, found)
-
-    def _rays_along(self, motions: Motions, share: FloatArray) -> IntArray:
-        k = share.shape[1]
-        angle = share * motions.limit[:, None]
-        along = np.cos(angle)[..., None] * motions.direction[:, None]
-        along += np.sin(angle)[..., None] * motions.advance[:, None]
-        face, _ = self.rays.first_hits(
-            np.repeat(motions.base, k, axis=0), along.reshape(-1, 3), np.repeat(motions.length, k)
-        )
-        return face.reshape(-1, k)
+        start, step = np.zeros(n), motions.limit / TURN_FAN
+        found = np.full(n, -1, dtype=np.int64)
+        for _ in range(TURN_ROUNDS):
+            angle = start[:, None] + step[:, None] * np.arange(TURN_FAN + 1)
+            c, s = np.cos(angle)[..., None], np.sin(angle)[..., None]
+            along = c * motions.direction[:, None] + s * motions.advance[:, None]
+            face, _ = self.rays.first_hits(
+                np.repeat(motions.base, TURN_FAN + 1, axis=0),
+                along.reshape(-1, 3),
+                np.repeat(motions.length, TURN_FAN + 1),
+            )
+            face = face.reshape(n, -1)
+            blocked = np.argmax(face >= 0, axis=1)
+            # Rays at the far end of a step are cast again, and may slip through an edge: keep what was found.
+            found = np.where(face[rows, blocked] >= 0, face[rows, blocked], found)
+            start += step * np.maximum(blocked - 1, 0)
+            step /= TURN_FAN
+        return found
 
 
 def _swept(motions: Motions, bound: FloatArray) -> Regions:
@@ -427,9 +447,9 @@ def _swept(motions: Motions, bound: FloatArray) -> Regions:
     else:
         # Up to a half turn the sector is convex: before the beam's last position, ahead of its first.
         c, s = np.cos(bound)[:, None], np.sin(bound)[:, None]
-        slabs = np.stack([normal, ahead, c * ahead - s * along], axis=1)
-        low = np.stack([zero - SLACK, zero - SLACK, np.full(n, -np.inf)], axis=1)
-        high = np.stack([zero + SLACK, np.full(n, np.inf), zero + wide], axis=1)
+        slabs = np.stack([normal, c * ahead - s * along, ahead], axis=1)
+        low = np.stack([zero - SLACK, np.full(n, -np.inf), zero - SLACK], axis=1)
+        high = np.stack([zero + SLACK, zero + wide, np.full(n, np.inf)], axis=1)
         centre, reach = motions.base, motions.length + SLACK
     shift = np.einsum("nsj,nj->ns", slabs, motions.base)
     return Regions(slabs=slabs, low=low + shift, high=high + shift, centre=centre, reach=reach)
