@@ -27,6 +27,12 @@ BINS = 8
 """Bins of each stroke. Fewer blur the turning point of the friction, more only cost time."""
 
 
+OUT_RANGE = (0.0, 1.001)
+BACK_RANGE = (0.05, 0.95)
+"""Shares of the peak angle that the bins of each stroke span. After the turning point friction along the beam turns
+round, and at the end of the way back the slide that is left turns the force faster than a bin can follow."""
+
+
 class Action(IntEnum):
     """What a strategy wants next for a contact."""
 
@@ -216,31 +222,39 @@ def binned(reading: PushReading, touch: Touch, antenna: Antenna, mount: Mount) -
     pushes = reading.which.size
     samples = reading.samples
     run = samples.run
-    moment = samples.moment - touch.tare[run]
+    up = rotation_base_sensor(reading.touch[:, 0], reading.touch[:, 1]).transpose(0, 2, 1) @ mount.rotation[2]
+    up_plane, up_along = up[:, [0, 2]], up[:, 1]
+    # The offset stays with the sensor, the weight with the world: only the offset may be subtracted before the spin.
+    weight = antenna.gravity_force(up)
+    offset = touch.tare - np.stack((weight[:, 1], -weight[:, 0]), axis=1)
     carried = carried_push(
-        samples.angles[:, 0], samples.angles[:, 1], moment, touch=reading.touch[run], phi=reading.phi[run]
+        samples.angles[:, 0],
+        samples.angles[:, 1],
+        samples.moment - offset[run],
+        touch=reading.touch[run],
+        phi=reading.phi[run],
     )
-    fraction = np.clip(carried.theta / reading.angle[run], 0.0, 1.0 - 1e-9)
-    slot = (fraction * BINS).astype(np.int64)
+    share = carried.theta / reading.angle[run]
     back = samples.stroke == Stroke.BACK
-    index = run * (2 * BINS) + np.where(back, 2 * BINS - 1 - slot, slot)
+    low, high = np.where(back, BACK_RANGE[0], OUT_RANGE[0]), np.where(back, BACK_RANGE[1], OUT_RANGE[1])
+    slot = np.floor((share - low) / (high - low) * BINS).astype(np.int64)
+    inside = (slot >= 0) & (slot < BINS)
     size = pushes * 2 * BINS
+    # Samples outside the ranges go to one bin more, which is cut off.
+    index = np.where(inside, run * (2 * BINS) + np.where(back, 2 * BINS - 1 - slot, slot), size)
 
     def total(values: FloatArray) -> FloatArray:
-        return np.bincount(index, weights=values, minlength=size).reshape(pushes, 2 * BINS)
+        return np.bincount(index, weights=values, minlength=size)[:size].reshape(pushes, 2 * BINS)
 
-    count = np.bincount(index, minlength=size).reshape(pushes, 2 * BINS).astype(np.float64)
+    count = np.bincount(index, minlength=size)[:size].reshape(pushes, 2 * BINS).astype(np.float64)
     safe = np.maximum(count, 1.0)
     theta = total(carried.theta) / safe
     force = np.stack((total(carried.force[:, 0]), total(carried.force[:, 1])), axis=2) / safe[..., None]
-    up = rotation_base_sensor(reading.touch[:, 0], reading.touch[:, 1]).transpose(0, 2, 1) @ mount.rotation[2]
-    up_plane, up_along = up[:, [0, 2]], up[:, 1]
-    # The weight's moment at the orientation of each bin less that in the tare, both in the carried frame: the
-    # carried axis e along the push turns with the beam, up . e changes by -up_along sin - (up . e)(1 - cos).
+    # The carried axis e along the push turns with the beam: up . e changes by -up_along sin - (up . e)(1 - cos).
     push = np.stack((np.cos(reading.phi), np.sin(reading.phi)), axis=1)
     along = np.sum(up_plane * push, axis=1)
     change = -up_along[:, None] * np.sin(theta) - along[:, None] * (1.0 - np.cos(theta))
-    force += antenna.beam.gravity_moment * change[..., None] * push[:, None, :]
+    force -= weight[:, None, :] - antenna.beam.gravity_moment * change[..., None] * push[:, None, :]
     return Bins(
         theta=theta,
         force=force,

@@ -1,0 +1,332 @@
+"""The estimator: distance, normal and friction angle of n contacts from the bins of all their pushes.
+
+State of a contact, with what it is a nuisance for:
+
+    x = (ln s, nu, ln tan alpha, R/s, s/R_l)
+
+nu the inner normal's angle in Pi, R along the beam, R_l across. The forward model is the reduced rod of
+:mod:`contour.contact`, followed through both strokes. What belongs to a single push is eliminated from its bins before
+they are put together: offset and drift of both moment axes, the residual depth of the touch, and the model's own
+error (a bias of the force's direction on each stroke, the shape of the moment's growth). A Gauss-Newton iteration with
+Levenberg's damping then finds the maximum of the posterior, all contacts at once.
+
+Only readings and priors enter. The covariance is that of the full state, so sigma_s and sigma_normal already contain
+what curvature, friction and offsets cost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contour.antenna import Antenna
+from contour.contact import push_cycle
+from contour.sensing import Bins
+
+__all__ = ["PARAMETERS", "Estimate", "ModelError", "Prior", "expected_covariance", "fit"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LN_S, NU, LN_TAN_ALPHA, R_ALONG, BEND = range(5)
+PARAMETERS = 5
+
+_STEP = np.array([0.0, 2e-4, 2e-3, 2e-3, 1e-2])
+"""Differences for the derivatives; the moment follows ln s exactly and needs none."""
+_LOWER = np.array([np.log(2e-3), -np.inf, np.log(np.tan(np.deg2rad(0.3))), -0.3, -400.0])
+_UPPER = np.array([np.log(1.0), np.inf, np.log(np.tan(np.deg2rad(45.0))), 4.0, 400.0])
+_MAX_STEP = np.array([0.5, 0.15, 0.7, 0.5, 5.0])
+_SETTLED = np.array([3e-5, 5e-4, 1e-2, 1e-2, 1e-1])
+_ITERATIONS = 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelError:
+    """Standard deviations of the forward model's own error, and of the instrument's slow ones.
+
+    Direction and moment of the reduced rod against the exact one, on both strokes, over the range that the strategy
+    uses; measured by ``tests/test_fit.py`` on cycles of the exact rod.
+    """
+
+    direction_bias: float = float(np.deg2rad(0.03))
+    """Of the force's direction, one value a stroke [rad]."""
+    direction_bin: float = float(np.deg2rad(0.04))
+    """Of the force's direction, each bin on its own [rad]."""
+    gain: float = 4e-4
+    """Of the moment, one value a push, relative; it cannot be told from s."""
+    gain_outside: float = 2e-3
+    """More of it per squared tangent of the angle between push and normal beyond the friction cone."""
+    moment_bin: float = 2e-4
+    """Of the moment, each bin on its own, relative to the peak."""
+    depth: float = 6e-6
+    """Of the depth at which the machine stands at the edge of touch [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prior:
+    """Gaussian prior of n contacts."""
+
+    mean: FloatArray
+    """(n, 5)"""
+    sigma: FloatArray
+    """(n, 5); infinite where nothing is known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Estimate:
+    """Maximum of the posterior of n contacts."""
+
+    mean: FloatArray
+    """(n, 5) state."""
+    covariance: FloatArray
+    """(n, 5, 5), the model's error included, the misfit not."""
+    chi2: FloatArray
+    """(n,) misfit of the bins."""
+    dof: FloatArray
+    """(n,) bins (two components each) that the misfit counts."""
+    cost: FloatArray
+    """(n,) misfit and prior together."""
+    converged: NDArray[np.bool_]
+    """(n,) whether the iteration settled."""
+
+    @property
+    def misfit(self) -> FloatArray:
+        """(n,) chi^2 per degree of freedom."""
+        return self.chi2 / np.maximum(self.dof, 1.0)
+
+    def sigma(self, parameter: int) -> FloatArray:
+        """(n,) standard deviation of one parameter."""
+        return np.sqrt(np.maximum(self.covariance[:, parameter, parameter], 0.0))
+
+
+def _forward(
+    x: FloatArray, phi: FloatArray, path: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Moment angle and direction psi along ``path`` for states ``x``; both (p, k).
+
+    A negative R (concave along the beam, or the noise of an edge) is continued from R = 0 by the caller.
+    """
+    bend = x[:, BEND]
+    across = np.where(np.abs(bend) > 1e-6, 1.0 / np.where(np.abs(bend) > 1e-6, bend, 1.0), np.inf)
+    cycle = push_cycle(
+        phi - x[:, NU],
+        path,
+        distance=1.0,
+        friction=np.exp(x[:, LN_TAN_ALPHA]),
+        radius_along=np.maximum(x[:, R_ALONG], 0.0),
+        radius_across=across,
+    )
+    return cycle.moment_angle, phi[:, None] - cycle.delta
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Data:
+    """The bins of P pushes and what is eliminated from them."""
+
+    phi: FloatArray  # (P,)
+    path: FloatArray  # (P, 2B + 1) angles with the turning point
+    force: FloatArray  # (P, 2B, 2)
+    count: FloatArray  # (P, 2B)
+    time: FloatArray  # (P, 2B)
+    theta: FloatArray  # (P, 2B)
+    gravity: FloatArray  # (P, 2B, 2) change of the weight per length along the great circle [N/m]
+    depth: FloatArray  # (P,) m, residual depth of the touch along the push, prior mean
+    tare_variance: FloatArray  # (P,)
+    contact: IntArray  # (P,) contact of each push
+
+    def take(self, rows: IntArray, contact: IntArray) -> _Data:
+        return _Data(
+            *(getattr(self, name)[rows] for name in list(self.__dataclass_fields__)[:-1]), contact=contact
+        )
+
+
+def _predict(data: _Data, x: FloatArray, antenna: Antenna) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Forces (P, 2B, 2), their derivatives (P, 2B, 2, 5), moment (P, 2B) and direction psi (P, 2B)."""
+    pushes, nodes = data.path.shape
+    stack = np.repeat(x[None], 5, axis=0)
+    for i, parameter in enumerate((NU, LN_TAN_ALPHA, R_ALONG, BEND)):
+        stack[i + 1, :, parameter] = np.where(parameter == R_ALONG, np.maximum(x[:, parameter], 0.0), x[:, parameter])
+        stack[i + 1, :, parameter] += _STEP[parameter]
+    distance = np.exp(x[:, LN_S])
+    path = np.maximum(data.path + (data.depth / distance)[:, None], 0.0)
+    moment, psi = _forward(stack.reshape(-1, 5), np.tile(data.phi, 5), np.tile(path, (5, 1)))
+    keep = np.arange(nodes) != nodes // 2
+    moment = moment.reshape(5, pushes, nodes)[:, :, keep]
+    psi = psi.reshape(5, pushes, nodes)[:, :, keep]
+    # Force in Pi, s f, of every variant: (5, P, 2B, 2).
+    scale = antenna.stiffness3 / distance
+    vectors = (scale[:, None] * moment)[..., None] * np.stack((np.cos(psi), np.sin(psi)), axis=-1)
+    base = vectors[0]
+    unit = np.stack((np.cos(psi[0]), np.sin(psi[0])), axis=-1)
+    # The support carries part of the weight: its reaction changes as the beam turns in the field of gravity.
+    length = antenna.beam.length
+    lever = (6.0 * length**2 - 4.0 * length * distance + distance**2) / 8.0
+    held = np.sum(data.gravity * unit, axis=-1)
+    weight = (-lever[:, None] * held)[..., None] * unit
+    derivative = np.empty((pushes, nodes - 1, 2, PARAMETERS))
+    derivative[..., LN_S] = -base
+    for i, parameter in enumerate((NU, LN_TAN_ALPHA, R_ALONG, BEND)):
+        derivative[..., parameter] = (vectors[i + 1] - base) / _STEP[parameter]
+    negative = np.minimum(x[:, R_ALONG], 0.0)[:, None, None]
+    return base + weight + negative * derivative[..., R_ALONG], derivative, scale[:, None] * moment[0], psi[0]
+
+
+def _normal_equations(
+    data: _Data, x: FloatArray, antenna: Antenna, error: ModelError
+) -> tuple[FloatArray, FloatArray]:
+    """Information with everything that belongs to one push eliminated: (P, 6, 6), the last row for the residual."""
+    force, derivative, moment, psi = _predict(data, x, antenna)
+    pushes, bins = moment.shape
+    distance = np.exp(x[:, LN_S])
+    unit = np.stack((np.cos(psi), np.sin(psi)), axis=-1)
+    aside = np.stack((-unit[..., 1], unit[..., 0]), axis=-1)
+    peak = moment.max(axis=1, keepdims=True)
+    used = data.count > 0.0
+    noise = antenna.sensor.moment_noise**2 / np.maximum(data.count, 1.0)
+    along = noise + (error.moment_bin * peak) ** 2
+    across = noise + (error.direction_bin * moment) ** 2
+    weight = np.where(used[..., None], 1.0 / np.stack((along, across), axis=-1), 0.0)  # in the frame (unit, aside)
+
+    def turned(vector: FloatArray) -> FloatArray:
+        """(P, 2B, 2, ...) from axes x, z to (unit, aside)."""
+        a, b = vector[:, :, 0], vector[:, :, 1]
+        extra = (1,) * (vector.ndim - 3)
+        u, v = unit.reshape(*unit.shape, *extra), aside.reshape(*aside.shape, *extra)
+        return np.stack((u[:, :, 0] * a + u[:, :, 1] * b, v[:, :, 0] * a + v[:, :, 1] * b), axis=2)
+
+    back = np.arange(bins) >= bins // 2
+    nuisance = np.zeros((pushes, bins, 2, 7))
+    nuisance[:, :, 0, 0], nuisance[:, :, 1, 0] = unit[..., 0], aside[..., 0]
+    nuisance[:, :, 0, 1], nuisance[:, :, 1, 1] = unit[..., 1], aside[..., 1]
+    nuisance[..., 2:4] = nuisance[..., 0:2] * data.time[:, :, None, None]
+    nuisance[:, :, 0, 4] = (antenna.stiffness3 / distance**2)[:, None]  # moment per depth of touch
+    nuisance[:, :, 1, 5] = np.where(back, 0.0, moment)
+    nuisance[:, :, 1, 6] = np.where(back, moment, 0.0)
+    spread = np.empty((pushes, 7))
+    spread[:, 0:2] = data.tare_variance[:, None]
+    spread[:, 2:4] = max(antenna.sensor.moment_drift, 1e-9) ** 2
+    spread[:, 4] = error.depth**2
+    spread[:, 5:7] = error.direction_bias**2
+    columns = np.concatenate((turned(derivative), turned(data.force - force)[..., None]), axis=3)
+    columns = columns.reshape(pushes, 2 * bins, PARAMETERS + 1)
+    nuisance = nuisance.reshape(pushes, 2 * bins, 7)
+    w = weight.reshape(pushes, 2 * bins, 1)
+    weighted = (w * nuisance).transpose(0, 2, 1)
+    inner = weighted @ nuisance + np.eye(7) / spread[:, :, None]
+    cross = weighted @ columns
+    information = (w * columns).transpose(0, 2, 1) @ columns - cross.transpose(0, 2, 1) @ np.linalg.solve(inner, cross)
+    return information, 2.0 * used.sum(axis=1)
+
+
+def _gather(values: FloatArray, contact: IntArray, n: int) -> FloatArray:
+    """Sum of the rows of each contact; pushes are sorted by contact in the common case of one each."""
+    if contact.size == n and np.array_equal(contact, np.arange(n)):
+        return values
+    total = np.zeros((n, *values.shape[1:]))
+    np.add.at(total, contact, values)
+    return total
+
+
+def _information(prior: Prior) -> FloatArray:
+    return np.where(np.isfinite(prior.sigma), 1.0 / np.maximum(prior.sigma, 1e-12) ** 2, 0.0)
+
+
+def prepare(bins: Bins, depth: FloatArray, tare_variance: FloatArray, contact: IntArray, antenna: Antenna) -> _Data:
+    """Bins of P pushes, the depth at rest along each push and the variance of its tare, ready for :func:`fit`."""
+    half = bins.theta.shape[1] // 2
+    slots = (np.arange(half) + 0.5) / half
+    full = np.concatenate((slots, slots[::-1])) * bins.peak[:, None]
+    theta = np.where(bins.count > 0.0, bins.theta, full)
+    push = np.stack((np.cos(bins.phi), np.sin(bins.phi)), axis=1)
+    along = np.sum(bins.up * push, axis=1)
+    change = -bins.up_along[:, None] * np.sin(theta) - along[:, None] * (1.0 - np.cos(theta))
+    return _Data(
+        phi=bins.phi,
+        path=np.concatenate((theta[:, :half], bins.peak[:, None], theta[:, half:]), axis=1),
+        force=bins.force,
+        count=bins.count,
+        time=bins.time,
+        theta=theta,
+        gravity=-antenna.beam.line_weight * change[..., None] * push[:, None, :],
+        depth=depth,
+        tare_variance=tare_variance,
+        contact=contact,
+    )
+
+
+def fit(data: _Data, prior: Prior, start: FloatArray, antenna: Antenna, error: ModelError) -> Estimate:
+    """Fit n contacts to all their pushes.
+
+    Args:
+        data: P pushes as :func:`prepare` made them; ``data.contact`` says which contact each belongs to.
+        prior: of n contacts.
+        start: (n, 5) states to begin from.
+        antenna: beam and sensor as calibrated.
+        error: of the forward model.
+    """
+    n = start.shape[0]
+    x = np.clip(start, _LOWER, _UPPER)
+    information = _information(prior)
+    dof = np.zeros(n)
+    np.add.at(dof, data.contact, 2.0 * (data.count > 0.0).sum(axis=1))
+    cost, chi2 = np.full(n, np.inf), np.full(n, np.inf)
+    normal = np.zeros((n, PARAMETERS, PARAMETERS))
+    gradient = np.zeros((n, PARAMETERS))
+    damping = np.full(n, 1e-4)
+    converged = np.zeros(n, dtype=bool)
+    trial = x.copy()
+    active = np.arange(n)
+    for _ in range(_ITERATIONS):
+        local = np.full(n, -1)
+        local[active] = np.arange(active.size)
+        rows = np.flatnonzero(local[data.contact] >= 0)
+        part = data.take(rows, local[data.contact[rows]])
+        system, _ = _normal_equations(part, trial[active][part.contact], antenna, error)
+        total = _gather(system, part.contact, active.size)
+        away = prior.mean[active] - trial[active]
+        away = np.where(information[active] > 0.0, away, 0.0)
+        away[:, NU] = np.mod(away[:, NU] + np.pi, 2.0 * np.pi) - np.pi
+        new_cost = total[:, 5, 5] + np.sum(information[active] * away**2, axis=1)
+        better = new_cost <= cost[active] * (1.0 + 1e-9) + 1e-9
+        good = active[better]
+        gain = cost[good] - new_cost[better]
+        x[good], cost[good], chi2[good] = trial[good], new_cost[better], total[better, 5, 5]
+        normal[good] = total[better, :5, :5]
+        gradient[good] = total[better, :5, 5] + information[good] * away[better]
+        damping[good] *= 0.2
+        damping[active[~better]] *= 8.0
+        settled = np.zeros(n, dtype=bool)
+        settled[good] = gain < 1e-3
+        matrix = normal[active] + np.eye(5) * information[active][:, None, :]
+        diagonal = np.einsum("nii->ni", matrix)
+        diagonal = np.maximum(diagonal, 1e-9)
+        step = np.linalg.solve(matrix + np.eye(5) * (damping[active][:, None] * diagonal)[:, None, :], gradient[active][..., None])[..., 0]
+        step = np.clip(step, -_MAX_STEP, _MAX_STEP)
+        trial[active] = np.clip(x[active] + step, _LOWER, _UPPER)
+        small = np.all(np.abs(trial[active] - x[active]) < _SETTLED, axis=1)
+        done = (small & better) | settled[active] | (damping[active] > 1e6)
+        converged[active[done]] = damping[active[done]] <= 1e6
+        active = active[~done]
+        if active.size == 0:
+            break
+    matrix = normal + np.eye(5) * information[:, None, :]
+    covariance = np.linalg.inv(matrix + 1e-12 * np.eye(5))
+    return Estimate(mean=x, covariance=covariance, chi2=chi2, dof=dof, cost=cost, converged=converged)
+
+
+def expected_covariance(
+    data: _Data, x: FloatArray, information: FloatArray, antenna: Antenna, error: ModelError
+) -> FloatArray:
+    """(P, 5, 5) covariance that each of the P imagined pushes of ``data`` would leave.
+
+    Args:
+        data: pushes with angles and counts; their forces do not matter.
+        x: (P, 5) states.
+        information: (P, 5, 5) what is known before.
+        antenna: beam and sensor.
+        error: of the forward model.
+    """
+    system, _ = _normal_equations(data, x, antenna, error)
+    return np.linalg.inv(information + system[:, :5, :5] + 1e-12 * np.eye(5))
