@@ -1,10 +1,5 @@
 """When a moving straight beam first touches a mesh, and where: exact in float64, thousands of beams at once.
 
-A beam that translates, or that turns about its base, sweeps a plane. In plane coordinates (x along the beam, y along
-the motion) every triangle that crosses the plane is a straight segment, and on a segment clipped to the beam's reach
-the travel is monotone: the first touch is at one of its two ends (docs/derivations-geometry.md). An end on a mesh
-edge is a touch of the beam's side; an end made by the clip is a touch of its tip or of its base.
-
 A fan of embree rays proposes one face per beam; its exact travel is an upper bound of the answer. Then all faces that
 meet the swept region up to this bound are fetched from the tree and solved exactly, so the rays cost or save time
 but never decide.
@@ -14,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contour.bvh import Bvh, Regions
+from contour.motions import AXIAL, Motions
 from contour.rays import RayCaster
+from contour.sweep import Pieces, Where, axial_pieces, slide_pieces, turn_pieces
 
-__all__ = ["FirstContactSolver", "Motions", "Touches", "Where", "slides", "turns"]
+__all__ = ["TIE", "FirstContactSolver", "Touches"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -37,64 +33,6 @@ TIE = 1e-7
 """Parts of the surface within this distance of the beam at the touch count as touched as well [m]."""
 SLACK = 1e-9
 """Regions are searched this much beyond the bound, far above any rounding of coordinates [m]."""
-AXIAL = 1e-8
-"""A translation within this angle of the beam's axis sweeps a line, not a plane [rad]."""
-
-
-class Where(IntEnum):
-    """The part of a triangle or of the beam at which they first meet."""
-
-    EDGE_0 = 0
-    """The triangle's edge from vertex 0 to 1."""
-    EDGE_1 = 1
-    """From vertex 1 to 2."""
-    EDGE_2 = 2
-    """From vertex 2 to 0."""
-    TIP = 3
-    """The beam's end, inside the triangle."""
-    BASE = 4
-    """The beam's root, inside the triangle: the carrier runs into the object."""
-    THROUGH = 5
-    """The beam pierces the triangle where it stands."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Motions:
-    """n beams and how they move, in coordinates (x, y, z) = frame (p - base) of the plane they sweep."""
-
-    turning: bool
-    """Whether the beams turn about their bases (y then is a length in the plane, the travel an angle)."""
-    base: FloatArray
-    """(n, 3) [m]."""
-    direction: FloatArray
-    """Unit, from the base to the tip (n, 3)."""
-    advance: FloatArray
-    """Unit: along the translation, or of the tip's first movement in a turn (n, 3)."""
-    frame: FloatArray
-    """The functionals x, y, z as rows (n, 3, 3): oblique for a translation, z normal to the plane."""
-    length: FloatArray
-    """(n,) [m]."""
-    limit: FloatArray
-    """Farthest travel (n,) [m] or [rad]."""
-
-    def rows(self, index: IntArray | slice) -> Motions:
-        """Some of the motions."""
-        return Motions(
-            turning=self.turning,
-            base=self.base[index],
-            direction=self.direction[index],
-            advance=self.advance[index],
-            frame=self.frame[index],
-            length=self.length[index],
-            limit=self.limit[index],
-        )
-
-    def moved(self, travel: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Base (n, 3) [m], direction (n, 3) and the way the beam's points move (n, 3) after the travel (n,)."""
-        if not self.turning:
-            return self.base + travel[:, None] * self.advance, self.direction, self.advance
-        c, s = np.cos(travel)[:, None], np.sin(travel)[:, None]
-        return self.base, c * self.direction + s * self.advance, c * self.advance - s * self.direction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -115,155 +53,6 @@ class Touches:
     """Where it ends (n,) [m]."""
     near_face: IntArray
     """The face at the near end (n,)."""
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
-def slides(base: FloatArray, direction: FloatArray, length: FloatArray, translation: FloatArray) -> Motions:
-    """Beams that keep their direction while the base moves along the translation (n, 3) [m]."""
-    limit = np.linalg.norm(translation, axis=1)
-    advance = translation / limit[:, None]
-    along = np.einsum("ij,ij->i", advance, direction)
-    # Twice, because the first difference loses digits where the motion is nearly along the beam.
-    across = advance - along[:, None] * direction
-    across -= np.einsum("ij,ij->i", across, direction)[:, None] * direction
-    sine = np.linalg.norm(across, axis=1)
-    axial = sine < AXIAL
-    # Beams that move along themselves sweep a line; any plane through it does.
-    across[axial] = _unit(np.cross(direction[axial], np.eye(3)[np.argmin(np.abs(direction[axial]), axis=1)]))
-    across[~axial] /= sine[~axial, None]
-    sine[axial] = np.inf
-    frame = np.zeros((len(base), 3, 3))
-    frame[:, 0] = direction - (along / sine)[:, None] * across
-    frame[:, 1] = across / np.where(axial, 1.0, sine)[:, None]
-    frame[:, 2] = np.cross(direction, across)
-    return Motions(
-        turning=False, base=base, direction=direction, advance=advance, frame=frame, length=length, limit=limit
-    )
-
-
-def turns(
-    base: FloatArray, direction: FloatArray, length: FloatArray, axis: FloatArray, angle: FloatArray
-) -> Motions:
-    """Beams that turn about their bases, by angle (n,) [rad] >= 0 about unit axes (n, 3) normal to them."""
-    advance = np.cross(axis, direction)
-    frame = np.stack([direction, advance, axis], axis=1)
-    return Motions(
-        turning=True, base=base, direction=direction, advance=advance, frame=frame, length=length, limit=angle
-    )
-
-
-@dataclass(slots=True)
-class _Pieces:
-    """What is left of k triangles inside the swept plane: segments, and the travel at which they are met."""
-
-    travel: FloatArray
-    distance: FloatArray
-    where: IntArray
-    x: FloatArray  # (k, 2) ends of the clipped segment
-    y: FloatArray  # (k, 2)
-
-
-def _plane_segments(
-    local: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray, IntArray]:
-    """Where triangles (k, 3 vertices, 3 coordinates) that cross z = 0 cut it: xa, ya, xb, yb and their edges."""
-    z = local[..., 2]
-    above = z >= 0.0
-    one_above = above.sum(axis=1) == 1
-    lone = np.where(one_above, above.argmax(axis=1), above.argmin(axis=1))
-    at = 3 * np.arange(len(local))
-    flat = local.reshape(-1, 3)
-    i, j, k = flat.take(at + lone, 0), flat.take(at + (lone + 1) % 3, 0), flat.take(at + (lone + 2) % 3, 0)
-    # Symmetric in the two vertices: both triangles of an edge find the very same point.
-    a = (i[:, 2:] * j[:, :2] - j[:, 2:] * i[:, :2]) / (i[:, 2] - j[:, 2])[:, None]
-    b = (i[:, 2:] * k[:, :2] - k[:, 2:] * i[:, :2]) / (i[:, 2] - k[:, 2])[:, None]
-    return a[:, 0], a[:, 1], b[:, 0], b[:, 1], lone, (lone + 2) % 3
-
-
-def _slide_pieces(local: FloatArray, length: FloatArray) -> _Pieces:
-    xa, ya, xb, yb, edge_a, edge_b = _plane_segments(local)
-    swap = xa > xb
-    xa, xb = np.where(swap, xb, xa), np.where(swap, xa, xb)
-    ya, yb = np.where(swap, yb, ya), np.where(swap, ya, yb)
-    edge_a, edge_b = np.where(swap, edge_b, edge_a), np.where(swap, edge_a, edge_b)
-    span = xb - xa
-    slope = (yb - ya) / np.where(span > 0.0, span, 1.0)
-    x0, x1 = np.maximum(xa, 0.0), np.minimum(xb, length)
-    y0 = np.where(xa < 0.0, ya - xa * slope, ya)
-    y1 = np.where(xb > length, yb - (xb - length) * slope, yb)
-    where0 = np.where(xa < 0.0, Where.BASE, edge_a)
-    where1 = np.where(xb > length, Where.TIP, edge_b)
-    first = y0 <= y1
-    low, high = np.where(first, y0, y1), np.where(first, y1, y0)
-    through = (low <= 0.0) & (high >= 0.0)
-    share = -low / np.where(high > low, high - low, 1.0)
-    x_low, x_high = np.where(first, x0, x1), np.where(first, x1, x0)
-    met = (x0 <= x1) & (high >= 0.0)
-    return _Pieces(
-        travel=np.where(met, np.maximum(low, 0.0), np.inf),
-        distance=np.where(through, x_low + share * (x_high - x_low), x_low),
-        where=np.where(through, Where.THROUGH, np.where(first, where0, where1)),
-        x=np.stack([x0, x1], axis=1),
-        y=np.stack([y0, y1], axis=1),
-    )
-
-
-def _turn_pieces(local: FloatArray, length: FloatArray) -> _Pieces:
-    xa, ya, xb, yb, edge_a, edge_b = _plane_segments(local)
-    dx, dy = xb - xa, yb - ya
-    # |a + u (b - a)|^2 = length^2: the disc cuts the segment to u0 <= u <= u1.
-    square = dx * dx + dy * dy
-    half = xa * dx + ya * dy
-    outside_a, outside_b = np.hypot(xa, ya) > length, np.hypot(xb, yb) > length
-    root = half * half - square * (xa * xa + ya * ya - length * length)
-    met = (root >= 0.0) | ~outside_a
-    root = np.sqrt(np.maximum(root, 0.0))
-    safe = np.where(square > 0.0, square, 1.0)
-    u0 = np.where(outside_a, (-half - root) / safe, 0.0)
-    u1 = np.where(outside_b, (-half + root) / safe, 1.0)
-    met &= (u0 <= u1) & (u0 >= 0.0) & (u1 <= 1.0)
-    x = np.stack([np.where(outside_a, xa + u0 * dx, xa), np.where(outside_b, xa + u1 * dx, xb)], axis=1)
-    y = np.stack([np.where(outside_a, ya + u0 * dy, ya), np.where(outside_b, ya + u1 * dy, yb)], axis=1)
-    angle = np.arctan2(y, x)
-    angle = np.where(angle < 0.0, angle + 2.0 * np.pi, angle)
-    drop = y[:, 0] - y[:, 1]
-    straddles = (y.min(axis=1) <= 0.0) & (y.max(axis=1) >= 0.0)
-    share = y[:, 0] / np.where(drop != 0.0, drop, 1.0)
-    crossing = x[:, 0] + share * (x[:, 1] - x[:, 0])
-    through = straddles & (crossing >= 0.0)
-    first = angle[:, 0] <= angle[:, 1]
-    end = np.where(first, 0, 1)[:, None]
-    where = np.where(first, np.where(outside_a, Where.TIP, edge_a), np.where(outside_b, Where.TIP, edge_b))
-    radius = np.take_along_axis(np.hypot(x, y), end, axis=1)[:, 0]
-    travel = np.where(through, 0.0, np.take_along_axis(angle, end, axis=1)[:, 0])
-    return _Pieces(
-        travel=np.where(met, travel, np.inf),
-        distance=np.where(through, crossing, np.minimum(radius, length)),
-        where=np.where(through, Where.THROUGH, where),
-        x=x,
-        y=y,
-    )
-
-
-def _axial_pieces(local: FloatArray, length: FloatArray, forward: NDArray[np.bool_]) -> _Pieces:
-    """Beams that move along themselves: the line y = z = 0 is all they sweep."""
-    xa, ya, xb, yb, _, _ = _plane_segments(local)
-    drop = ya - yb
-    met = (np.minimum(ya, yb) <= 0.0) & (np.maximum(ya, yb) >= 0.0)
-    x = xa + ya / np.where(drop != 0.0, drop, 1.0) * (xb - xa)
-    travel = np.where(forward, x - length, -x)
-    through = (x >= 0.0) & (x <= length)
-    met &= through | (travel > 0.0)
-    return _Pieces(
-        travel=np.where(met, np.maximum(travel, 0.0), np.inf),
-        distance=np.where(through, x, np.where(forward, length, 0.0)),
-        where=np.where(through, Where.THROUGH, np.where(forward, Where.TIP, Where.BASE)),
-        x=np.stack([x, x], axis=1),
-        y=np.zeros((len(x), 2)),
-    )
 
 
 def _first_of(values: FloatArray, owner: IntArray, n: int) -> FloatArray:
@@ -306,16 +95,16 @@ class FirstContactSolver:
         sine = np.linalg.norm(np.cross(motions.direction, motions.advance), axis=1)
         axial = np.zeros(len(sine), dtype=np.bool_) if motions.turning else sine < AXIAL
         if not axial.any():
-            return self._narrow(motions, _turn_pieces if motions.turning else _slide_pieces)
+            return self._narrow(motions, turn_pieces if motions.turning else slide_pieces)
         touches = _nothing(len(axial))
         rows = np.nonzero(~axial)[0]
         if len(rows):
-            _put(touches, rows, self._narrow(motions.rows(rows), _slide_pieces))
+            _put(touches, rows, self._narrow(motions.rows(rows), slide_pieces))
         rows = np.nonzero(axial)[0]
         _put(touches, rows, self._axial(motions.rows(rows)))
         return touches
 
-    def _narrow(self, motions: Motions, pieces: Callable[[FloatArray, FloatArray], _Pieces]) -> Touches:
+    def _narrow(self, motions: Motions, pieces: Callable[[FloatArray, FloatArray], Pieces]) -> Touches:
         proposed = self._bound(motions, pieces)
         touches = self._within(motions, np.minimum(proposed, motions.limit), pieces)
         # A face that only just crosses the plane may be judged otherwise in the search than in the bound, by
@@ -327,7 +116,7 @@ class FirstContactSolver:
         return touches
 
     def _within(
-        self, motions: Motions, bound: FloatArray, pieces: Callable[[FloatArray, FloatArray], _Pieces]
+        self, motions: Motions, bound: FloatArray, pieces: Callable[[FloatArray, FloatArray], Pieces]
     ) -> Touches:
         regions = _swept(motions, bound)
         owner, leaf = self.bvh.leaves_in(regions)
@@ -345,7 +134,7 @@ class FirstContactSolver:
         regions = Regions(slabs=order, low=low + shift, high=high + shift)
         owner, leaf = self.bvh.leaves_in(regions)
         owner, face, local = self._crossing(motions, regions, owner, leaf)
-        found = _axial_pieces(local, motions.length.take(owner), forward.take(owner))
+        found = axial_pieces(local, motions.length.take(owner), forward.take(owner))
         return _reduce(motions, owner, face, found)
 
     def _crossing(
@@ -373,7 +162,7 @@ class FirstContactSolver:
         local[..., 2] = z.reshape(-1, 3).take(item, axis=0)
         return owner, face, local
 
-    def _bound(self, motions: Motions, pieces: Callable[[FloatArray, FloatArray], _Pieces]) -> FloatArray:
+    def _bound(self, motions: Motions, pieces: Callable[[FloatArray, FloatArray], Pieces]) -> FloatArray:
         """Exact travel to one face that the rays propose (n,): an upper bound, inf where they found none."""
         face = self._turn_hint(motions) if motions.turning else self._slide_hint(motions)
         row = np.nonzero(face >= 0)[0]
@@ -404,7 +193,9 @@ class FirstContactSolver:
 
     def _rays_ahead(self, motions: Motions, share: FloatArray) -> tuple[IntArray, FloatArray]:
         k = share.shape[1]
-        starts = motions.base[:, None] + (share * motions.length[:, None])[..., None] * motions.direction[:, None]
+        starts = (
+            motions.base[:, None] + (share * motions.length[:, None])[..., None] * motions.direction[:, None]
+        )
         ahead = np.repeat(motions.advance, k, axis=0)
         face, travel = self.rays.first_hits(starts.reshape(-1, 3), ahead, np.repeat(motions.limit, k))
         return face.reshape(-1, k), np.where(face >= 0, travel, np.inf).reshape(-1, k)
@@ -455,7 +246,7 @@ def _swept(motions: Motions, bound: FloatArray) -> Regions:
     return Regions(slabs=slabs, low=low + shift, high=high + shift, centre=centre, reach=reach)
 
 
-def _reduce(motions: Motions, owner: IntArray, face: IntArray, pieces: _Pieces) -> Touches:
+def _reduce(motions: Motions, owner: IntArray, face: IntArray, pieces: Pieces) -> Touches:
     """From all pieces to the first touch of each beam."""
     n = len(motions.base)
     touches = _nothing(n)
@@ -478,7 +269,7 @@ def _reduce(motions: Motions, owner: IntArray, face: IntArray, pieces: _Pieces) 
     return touches
 
 
-def _spread(motions: Motions, touches: Touches, owner: IntArray, face: IntArray, pieces: _Pieces) -> None:
+def _spread(motions: Motions, touches: Touches, owner: IntArray, face: IntArray, pieces: Pieces) -> None:
     """The interval of the beam that lies within TIE of the surface at the touch."""
     n = len(motions.base)
     reach = touches.travel + (TIE / motions.length if motions.turning else TIE)
