@@ -152,7 +152,7 @@ def push_cycle(
     return _cycle(path, moment, wanted, shape, scale)
 
 
-def refine(angles: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+def refine(angles: FloatArray, least: int = STEPS_OUT) -> tuple[FloatArray, NDArray[np.int64]]:
     """Put angles between those asked for, so that no step exceeds 1/STEPS_OUT of a push's largest angle.
 
     Args:
@@ -163,7 +163,7 @@ def refine(angles: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
     """
     steps = np.diff(angles, axis=0, prepend=np.zeros((1, angles.shape[1])))
     share = np.abs(steps) / angles.max(axis=0, initial=LEAST_ANGLE)
-    counts = np.maximum(np.ceil(share.max(axis=1, initial=0.0) * STEPS_OUT - 1e-6), 1.0).astype(np.int64)
+    counts = np.maximum(np.ceil(share.max(axis=1, initial=0.0) * least - 1e-6), 1.0).astype(np.int64)
     wanted = np.cumsum(counts) - 1
     if wanted[-1] == len(counts) - 1:
         return angles, wanted

@@ -141,6 +141,8 @@ class Path:
     """r/x, the tangent of the bending over the lever arm; |M| s/(3 EI) of a rod that bends little, on an edge."""
     slope: FloatArray
     """r = |w|/x, tangent of the angle between the base tangent and the chord."""
+    parameter: FloatArray
+    """The profile's own parameter b of the contact."""
     slide: FloatArray
     """a, positive towards e_t."""
     arc_length: FloatArray
@@ -397,6 +399,7 @@ def follow(eps: FloatArray, thetas: FloatArray, friction: FloatArray, profile: P
     count, n = thetas.shape
     shape = (count, n)
     fields = {name: np.zeros(shape) for name in ("delta", "lever", "slope", "slide", "arc_length", "along")}
+    fields["parameter"] = np.zeros(shape)
     slipped = np.zeros(shape, dtype=np.bool_)
     for first in range(0, n, CHUNK):
         part = slice(first, min(first + CHUNK, n))
@@ -437,6 +440,7 @@ def _follow_rows(rows: _Rows, thetas: FloatArray, out: dict[str, FloatArray], sl
         out["delta"][step] = np.pi + np.arctan2(across, sine - turn[0] * towards)
         out["slope"][step] = slope
         out["lever"][step] = slope / x
+        out["parameter"][step] = b
         out["slide"][step] = rows.profile.arc(b)
         out["arc_length"][step] = length
         out["along"][step] = d_l / np.sqrt(d_a * d_a + d_l * d_l + NOTHING)

@@ -1,0 +1,343 @@
+"""The exact rod on a doubly curved body, followed step by step through a push with Coulomb friction.
+
+The body's surface is its silhouette swept with the radius R along the beam: with e_t, e_n, e_y as in contour.slip,
+a profile point c(a) with normal n(a), and the angle zeta by which the contact's normal leans from the sensing plane
+towards the base,
+
+    n(a, zeta) = cos zeta n(a) - sin zeta e_y,   P = e_y + c(a) + R (n(a, zeta) - n(a)).
+
+The rod touches where its end tangent is perpendicular to n(a, zeta); it is a planar elastica (contour.planar_elastica)
+in the plane of the base tangent t0 and of P. That leaves three unknowns, a, zeta and eta (the angle from end tangent
+to force), and three equations: the rod reaches P, and Coulomb's law for the two components of friction with the slip
+of the rod's material point, dP - t_end dl. Sticking is part of the law. Lengths are in units of s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contour.planar_elastica import base_curvature, shape
+from contour.slip import Path, Profile
+
+__all__ = ["RodPath", "follow_rod"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+CHUNK = 256
+"""Rows worked on at once; the Jacobian's four evaluations are stacked beside them."""
+ITERATIONS = 12
+"""Newton steps before a row is followed in smaller steps."""
+TOLERANCE = 1e-6
+"""Newton steps below this, in theta or rad, are the last: the next would be 1e-4 of it or less."""
+DIFFERENCE = 1e-5
+"""Differences of the Jacobian, in theta or rad: truncation 1e-5, rounding 1e-8 for theta of 1 mrad."""
+LONGEST = 0.5
+"""No Newton step is longer, in theta or rad."""
+LEAST_GRIP = 1e-9
+"""Friction angles [rad] below this are taken as this: no force can tell."""
+SECULAR_STEPS = 6
+"""Newton steps on the amount of slip."""
+
+
+class Contact(NamedTuple):
+    """Unknowns of a contact: b (profile parameter), zeta and eta [rad]."""
+
+    b: FloatArray
+    zeta: FloatArray
+    eta: FloatArray
+
+
+class Memory(NamedTuple):
+    """What friction remembers of the last step: b, zeta and l."""
+
+    b: FloatArray
+    zeta: FloatArray
+    length: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RodPath:
+    """A push followed through k angles, n at a time, arrays (k, n), lengths in s."""
+
+    delta: FloatArray
+    """phi - psi [rad], 0 .. 2 pi."""
+    moment_angle: FloatArray
+    """|M| s/(3 EI) [rad]."""
+    slide: FloatArray
+    """a, positive towards e_t."""
+    lean: FloatArray
+    """zeta [rad]."""
+    arc_length: FloatArray
+    """l."""
+    slipped_off: BoolArray
+    """The contact has left the body; the values are those of the last contact."""
+    converged: BoolArray
+    """All equations hold to tolerance up to here."""
+
+
+class Body(NamedTuple):
+    """What stays the same along the push for some rows."""
+
+    sin_eps: FloatArray
+    cos_eps: FloatArray
+    friction: FloatArray
+    grip: FloatArray
+    """Sine of the friction angle: largest friction of a unit force."""
+    radius: FloatArray
+    profile: Profile
+
+    def rows(self, index: NDArray[np.int64]) -> Body:
+        """The same for a selection."""
+        return Body(
+            self.sin_eps[index],
+            self.cos_eps[index],
+            self.friction[index],
+            self.grip[index],
+            self.radius[index],
+            self.profile.rows(index),
+        )
+
+
+class Pose(NamedTuple):
+    """Everything that follows from the unknowns at one angle of the base."""
+
+    gap: FloatArray
+    """What the rod's end misses P by, across the base tangent, relative to theta."""
+    slip: tuple[FloatArray, FloatArray]
+    """Slip of the rod's material point since the last step, along e_a and e_zeta."""
+    force: tuple[FloatArray, FloatArray]
+    """Components along e_a and e_zeta of the unit force on the rod."""
+    force_n: FloatArray
+    length: FloatArray
+    bend: FloatArray
+    root_force: FloatArray
+    delta: FloatArray
+
+
+def _pose(body: Body, theta: FloatArray, c: Contact, before: Memory, *, full: bool) -> Pose:
+    """Geometry, elastica and friction at the unknowns; delta only when ``full``."""
+    sine, cosine = np.sin(theta), np.cos(theta)
+    t_t, t_n, t_y = -sine * body.sin_eps, -sine * body.cos_eps, cosine
+    along, out, cos, sin, curvature, _ = body.profile.at(c.b)
+    sin_z, cos_z = np.sin(c.zeta), np.cos(c.zeta)
+    drop = -2.0 * np.sin(0.5 * c.zeta) ** 2 * body.radius  # R (cos zeta - 1)
+    p_t, p_n, p_y = along + drop * sin, out + drop * cos, 1.0 - body.radius * sin_z
+    ahead = p_t * t_t + p_n * t_n + p_y * t_y
+    w_t, w_n, w_y = p_t - ahead * t_t, p_n - ahead * t_n, p_y - ahead * t_y
+    aside = np.sqrt(w_t * w_t + w_n * w_n + w_y * w_y)
+    normal_d = (cos_z * (w_t * sin + w_n * cos) - sin_z * w_y) / aside
+    normal_0 = cos_z * (t_t * sin + t_n * cos) - sin_z * t_y
+    bend = np.arctan2(-normal_0, normal_d)
+    rod = shape(bend, c.eta)
+    scale = ahead / rod.ahead
+    length = scale * rod.length
+    sin_b, cos_b = np.sin(bend), np.cos(bend)
+    # Components along e_a and e_zeta of base tangent and bending direction, then of end tangent and force.
+    lat_0, lat_d = t_t * cos - t_n * sin, (w_t * cos - w_n * sin) / aside
+    lon_0 = -sin_z * (t_t * sin + t_n * cos) - cos_z * t_y
+    lon_d = (-sin_z * (w_t * sin + w_n * cos) - cos_z * w_y) / aside
+    end_lat, end_lon = cos_b * lat_0 + sin_b * lat_d, cos_b * lon_0 + sin_b * lon_d
+    sin_e, cos_e = np.sin(c.eta), np.cos(c.eta)
+    force_lat = cos_e * end_lat + sin_e * (cos_b * lat_d - sin_b * lat_0)
+    force_lon = cos_e * end_lon + sin_e * (cos_b * lon_d - sin_b * lon_0)
+    force_n = sin_e * (cos_b * normal_d - sin_b * normal_0)
+    d_l = length - before.length
+    slip_lat = (1.0 + curvature * drop) * body.profile.chord(c.b, before.b) - end_lat * d_l
+    slip_lon = body.radius * (c.zeta - before.zeta) - end_lon * d_l
+    towards = -(body.sin_eps * p_t + body.cos_eps * p_n)
+    across = body.sin_eps * p_n - body.cos_eps * p_t
+    return Pose(
+        gap=(aside - scale * rod.aside) / theta,
+        slip=(slip_lat, slip_lon),
+        force=(force_lat, force_lon),
+        force_n=force_n,
+        length=length,
+        bend=bend,
+        root_force=np.sqrt(2.0 * bend) / scale,
+        delta=np.pi + np.arctan2(across, sine * p_y - cosine * towards) if full else aside,
+    )
+
+
+def _newton(
+    body: Body, theta: FloatArray, c: Contact, before: Memory
+) -> tuple[Contact, FloatArray]:
+    """A better contact, and how far it moved: shares of theta for b and zeta, radians for eta.
+
+    Geometry and elastica are smooth in the unknowns and are linearised (Jacobian by differences); Coulomb's law is
+    not, and is solved as it stands on that linearisation, with the two slips as unknowns.
+    """
+    h = DIFFERENCE * theta
+    _, _, _, _, _, speed = body.profile.at(c.b)
+    p = _pose(
+        body,
+        theta,
+        Contact(
+            np.stack((c.b, c.b + h * speed, c.b, c.b)),
+            np.stack((c.zeta, c.zeta, c.zeta + h, c.zeta)),
+            np.stack((c.eta, c.eta, c.eta, c.eta + DIFFERENCE)),
+        ),
+        before,
+        full=False,
+    )
+    steps = (h, h, np.full_like(h, DIFFERENCE))
+    here = [v[0] for v in (p.gap, *p.slip, *p.force)]
+    column = [[(v[j] - v[0]) / steps[j - 1] for v in (p.gap, *p.slip, *p.force)] for j in (1, 2, 3)]
+    # Rows of the inverse of d(gap, slips)/d(b, zeta, eta).
+    cross = [_cross(column[1], column[2]), _cross(column[2], column[0]), _cross(column[0], column[1])]
+    det = column[0][0] * cross[0][0] + column[0][1] * cross[0][1] + column[0][2] * cross[0][2]
+    inverse = [[v / det for v in row] for row in cross]
+    # Force as a linear function of the slips where the gap is closed.
+    stiff = [[sum(column[i][3 + f] * inverse[i][g] for i in range(3)) for g in range(3)] for f in range(2)]
+    force = [here[3 + f] - stiff[f][0] * here[0] - stiff[f][1] * here[1] - stiff[f][2] * here[2] for f in range(2)]
+    slip = _coulomb(
+        (stiff[0][1], stiff[0][2], stiff[1][1], stiff[1][2]), (force[0], force[1]), body.grip, (here[1], here[2])
+    )
+    target = (-here[0], slip[0] - here[1], slip[1] - here[2])
+    move = [row[0] * target[0] + row[1] * target[1] + row[2] * target[2] for row in inverse]
+    far = np.maximum(np.maximum(np.abs(move[0]), np.abs(move[1])) / theta, np.abs(move[2]))
+    cut = np.minimum(1.0, LONGEST / np.maximum(far, LONGEST))
+    return Contact(
+        c.b + move[0] * speed * cut, c.zeta + move[1] * cut, np.clip(c.eta + move[2] * cut, 0.05, np.pi - 0.05)
+    ), far
+
+
+def _coulomb(
+    stiff: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    force: tuple[FloatArray, FloatArray],
+    grip: FloatArray,
+    slip: tuple[FloatArray, FloatArray],
+) -> tuple[FloatArray, FloatArray]:
+    """Slips that satisfy Coulomb's law where the friction force is force + stiff slip.
+
+    Sticking, slip = 0, where |force| <= grip; else force + stiff slip = -grip slip/|slip|, that is
+    slip = -p (1 + p stiff)^-1 force with |(1 + p stiff)^-1 force| = grip. The inverse of that norm is a concave,
+    rising function of p, so that Newton's steps come to its root from below, wherever they start.
+    """
+    a, b, c, d = stiff
+    trace, det = a + d, a * d - b * c
+    p = np.sqrt(slip[0] ** 2 + slip[1] ** 2) / np.maximum(grip, LEAST_GRIP)
+    limit = np.maximum(grip, LEAST_GRIP)
+    for _ in range(SECULAR_STEPS):
+        x, y, scale = _shifted(stiff, force, trace, det, p)
+        norm2 = x * x + y * y
+        norm = np.sqrt(norm2)
+        # d(1 + p A)^-1 f/dp = -(1 + p A)^-1 A (1 + p A)^-1 f.
+        g_x, g_y = a * x + b * y, c * x + d * y
+        rate_x, rate_y = ((1.0 + p * d) * g_x - p * b * g_y) / scale, ((1.0 + p * a) * g_y - p * c * g_x) / scale
+        rate = x * rate_x + y * rate_y
+        p = np.maximum(p + (norm / limit - 1.0) * norm2 / rate, 0.0)
+    x, y, _ = _shifted(stiff, force, trace, det, p)
+    return -p * x, -p * y
+
+
+def _shifted(
+    stiff: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    force: tuple[FloatArray, FloatArray],
+    trace: FloatArray,
+    det: FloatArray,
+    p: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(1 + p stiff)^-1 force, and the determinant."""
+    a, b, c, d = stiff
+    scale = 1.0 + p * trace + p * p * det
+    x = ((1.0 + p * d) * force[0] - p * b * force[1]) / scale
+    y = ((1.0 + p * a) * force[1] - p * c * force[0]) / scale
+    return x, y, scale
+
+
+def _cross(a: list[FloatArray], b: list[FloatArray]) -> list[FloatArray]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def _solve(body: Body, theta: FloatArray, guess: Contact, before: Memory) -> tuple[Contact, BoolArray]:
+    """The contact at the end of one step, and whether it was found."""
+    b, zeta, eta = (v.copy() for v in guess)
+    good = np.zeros(theta.shape, dtype=np.bool_)
+    active = np.arange(theta.size)
+    part, angle, memory = body, theta, before
+    for _ in range(ITERATIONS):
+        now = Contact(b[active], zeta[active], eta[active])
+        new, far = _newton(part, angle, now, memory)
+        with np.errstate(invalid="ignore"):
+            done = far <= TOLERANCE
+        finite = np.isfinite(new.b) & np.isfinite(new.zeta) & np.isfinite(new.eta)
+        settled = active[done]
+        good[settled] = True
+        b[settled], zeta[settled], eta[settled] = new.b[done], new.zeta[done], new.eta[done]
+        going = ~done & finite
+        if not going.any():
+            break
+        keep = active[going]
+        b[keep], zeta[keep], eta[keep] = new.b[going], new.zeta[going], new.eta[going]
+        if keep.size < active.size:
+            active = keep
+            part, angle = body.rows(active), theta[active]
+            memory = Memory(before.b[active], before.zeta[active], before.length[active])
+    return Contact(b, zeta, eta), good
+
+
+def follow_rod(
+    eps: FloatArray, thetas: FloatArray, friction: FloatArray, radius: FloatArray, profile: Profile, reduced: Path
+) -> RodPath:
+    """Follow n pushes through k angles.
+
+    Args:
+        eps: pushing direction off the inner normal [rad], (n,).
+        thetas: angles of the base from touch [rad], (k, n), all above zero.
+        friction: mu, (n,).
+        radius: R, (n,), in units of s.
+        profile: the silhouettes, n of them, lengths in units of s.
+        reduced: the reduced rod on the same path, from whose increments each step starts.
+    """
+    size = thetas.shape
+    names = ("delta", "moment_angle", "slide", "lean", "arc_length")
+    fields = {name: np.zeros(size) for name in names}
+    slipped = np.zeros(size, dtype=np.bool_)
+    converged = np.zeros(size, dtype=np.bool_)
+    for first in range(0, size[1], CHUNK):
+        part = slice(first, min(first + CHUNK, size[1]))
+        index = np.arange(part.start, part.stop)
+        mu = friction[part]
+        body = Body(
+            np.sin(eps[part]), np.cos(eps[part]), mu, mu / np.hypot(1.0, mu), radius[part], profile.rows(index)
+        )
+        views = {k: v[:, part] for k, v in fields.items()}
+        _follow_rows(body, thetas[:, part], reduced, part, views, slipped[:, part], converged[:, part])
+    return RodPath(slipped_off=slipped, converged=converged, **fields)
+
+
+def _guess(body: Body, theta: FloatArray, reduced: Path, step: int, part: slice, last: Memory) -> Contact:
+    b = last.b + reduced.parameter[step, part]
+    if step:
+        b = b - reduced.parameter[step - 1, part]
+    r = reduced.slope[step, part]
+    u = body.radius * r
+    zeta = 2.0 * r / (2.0 + u + np.sqrt(u * u + 2.0 * u + 4.0))
+    return Contact(b, zeta, 0.5 * np.pi - np.arctan(body.friction * reduced.along[step, part]))
+
+
+def _follow_rows(
+    body: Body, thetas: FloatArray, reduced: Path, part: slice, out: dict[str, FloatArray], slipped: BoolArray,
+    converged: BoolArray,
+) -> None:
+    n = thetas.shape[1]
+    last = Memory(np.zeros(n), np.zeros(n), np.ones(n))
+    good = np.ones(n, dtype=np.bool_)
+    with np.errstate(all="ignore"):
+        for step, theta in enumerate(thetas):
+            guess = _guess(body, theta, reduced, step, part, last)
+            new, found = _solve(body, theta, guess, last)
+            pose = _pose(body, theta, new, last, full=True)
+            good &= found
+            out["delta"][step] = pose.delta
+            out["moment_angle"][step] = base_curvature(pose.bend, new.eta, pose.root_force) / 3.0
+            out["slide"][step] = body.profile.arc(new.b)
+            out["lean"][step] = new.zeta
+            out["arc_length"][step] = pose.length
+            converged[step] = good
+            last = Memory(new.b, new.zeta, pose.length)
