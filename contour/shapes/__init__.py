@@ -1,8 +1,8 @@
 """Shapes whose surface is known in closed form: what the meshes of data/meshes were made from.
 
 ``load("torus").project(points)`` gives closest points and outward normals, ``curvature`` the normal curvature
-along a direction (positive where the solid is convex) and ``region`` the kind of place. Metres, in the shape's
-own frame, which is that of its mesh.
+along a direction (positive where the solid is convex) and ``region`` the kind of place. Metres, in the
+shape's own frame, which is that of its mesh.
 
 >>> import numpy as np
 >>> torus = load("torus")
@@ -33,8 +33,19 @@ from contour.shapes.base import (
     tangential,
 )
 from contour.shapes.catalogue import SHAPES
+from contour.shapes.files import write_mesh
 
-__all__ = ["CORNER_RADIUS", "NAMES", "Projection", "Region", "Surface", "TriangleMesh", "Truth", "load"]
+__all__ = [
+    "CORNER_RADIUS",
+    "NAMES",
+    "Projection",
+    "Region",
+    "Surface",
+    "TriangleMesh",
+    "Truth",
+    "load",
+    "write_mesh",
+]
 
 FloatArray = NDArray[np.float64]
 

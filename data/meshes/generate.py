@@ -3,8 +3,8 @@
     python data/meshes/generate.py            write those that are absent
     python data/meshes/generate.py --force    write all of them again
 
-The same numbers come out every time. The header names the unit and the shape; the truth that a mesh was made from
-is ``contour.shapes.load(name)``.
+The same numbers come out every time. The header names the unit and the shape; the truth that a mesh was made
+from is ``contour.shapes.load(name)``.
 """
 
 from __future__ import annotations
@@ -12,35 +12,11 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import numpy as np
-
 from contour import shapes
 
-__all__ = ["FOLDER", "main", "write_ply"]
+__all__ = ["FOLDER", "main"]
 
 FOLDER = Path(__file__).resolve().parent
-MM_PER_M = 1e3
-
-
-def write_ply(path: Path, mesh: shapes.TriangleMesh, name: str) -> None:
-    """Write ``mesh`` (metres) in millimetres, single precision: 8e-6 mm at 100 mm."""
-    header = "\n".join(
-        (
-            "ply",
-            "format binary_little_endian 1.0",
-            "comment unit mm",
-            f"comment shape {name}",
-            f"element vertex {len(mesh.vertices)}",
-            *(f"property float {axis}" for axis in "xyz"),
-            f"element face {len(mesh.faces)}",
-            "property list uchar int vertex_indices",
-            "end_header\n",
-        )
-    )
-    faces = np.zeros(len(mesh.faces), dtype=[("count", "u1"), ("index", "<i4", 3)])
-    faces["count"], faces["index"] = 3, mesh.faces
-    vertices = (mesh.vertices * MM_PER_M).astype("<f4")
-    path.write_bytes(header.encode("ascii") + vertices.tobytes() + faces.tobytes())
 
 
 def main(arguments: list[str]) -> int:
@@ -52,7 +28,7 @@ def main(arguments: list[str]) -> int:
         path = FOLDER / f"{name}.ply"
         if "--force" in arguments or not path.exists():
             mesh = shapes.load(name).mesh()
-            write_ply(path, mesh, name)
+            shapes.write_mesh(path, mesh, name)
             print(f"{path.name}: {len(mesh.faces)} faces")
     return 0
 

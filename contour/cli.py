@@ -1,0 +1,143 @@
+"""The command line: it parses, calls, and turns errors into exit codes.
+
+0 done; 1 a known error; 2 wrong usage or bad input; 3 trouble with a device: each told in one line. Errors that
+nobody foresaw keep their traceback.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import cyclopts
+from rich.console import Console
+
+from contour import __version__
+from contour.errors import ContourError, LinkError, UsageError
+
+if TYPE_CHECKING:
+    from contour.scene import Scene
+
+__all__ = ["app", "main"]
+
+DEMO = "mug"
+"""Shape that the demo maps."""
+RESULTS = Path("results")
+"""Folder of result folders, where none is asked for."""
+OK, KNOWN_ERROR, WRONG_USAGE, DEVICE_FAULT = 0, 1, 2, 3
+
+app = cyclopts.App(
+    name="contour",
+    help="Maps the shape of objects by touch with a flexible beam.",
+    version=f"contour {__version__}",
+    result_action="return_value",
+)
+
+
+@app.command
+def scan(
+    source: Path,
+    *,
+    unit: str | None = None,
+    out: Path | None = None,
+    strategy: str | None = None,
+    seed: int | None = None,
+    dry_run: Annotated[bool, cyclopts.Parameter(negative=())] = False,
+) -> int:
+    """Map an object: contacts along contours round it, with their uncertainty.
+
+    Args:
+        source: a mesh, or a scene file (.toml).
+        unit: unit of the mesh's numbers, where file and scene do not say (mm, m, ...).
+        out: folder for the results; results/NAME if not given.
+        strategy: model, bisection, bisection-limited or one-push.
+        seed: of everything random.
+        dry_run: check everything and say what would be done, but do not scan.
+    """
+    from contour.scene import load_scene
+
+    scene = load_scene(source, unit=unit, strategy=strategy, seed=seed)
+    return _scan(scene, _free_folder(out, scene.name), dry_run=dry_run)
+
+
+@app.command
+def demo(*, out: Path | None = None) -> int:
+    """Map the mug with a handle, in simulation.
+
+    Args:
+        out: folder for the results; results/mug if not given.
+    """
+    from contour import shapes
+    from contour.scene import load_scene
+
+    folder = _free_folder(out, DEMO)
+    folder.mkdir(parents=True, exist_ok=True)
+    mesh = folder / f"{DEMO}.ply"
+    shapes.write_mesh(mesh, shapes.load(DEMO).mesh(), DEMO)
+    return _scan(load_scene(mesh, unit="mm"), folder, dry_run=False)
+
+
+@app.command
+def doctor() -> int:
+    """Say what this machine can do, and what to install for the rest."""
+    from contour.console import findings_table
+    from contour.doctor import examine
+
+    findings = examine()
+    Console(soft_wrap=True).print(findings_table(findings))
+    return OK if all(finding.good for finding in findings) else KNOWN_ERROR
+
+
+def _free_folder(out: Path | None, name: str) -> Path:
+    """Where results go: what was asked for if it is empty or not there, else a new name in results/."""
+    if out is not None:
+        if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+            raise UsageError(f"{out} is not empty: choose another --out, or remove it")
+        return out
+    free = RESULTS / name
+    count = 1
+    while free.exists():
+        count += 1
+        free = RESULTS / f"{name}-{count}"
+    return free
+
+
+def _scan(scene: Scene, folder: Path, *, dry_run: bool) -> int:
+    """Run the pipeline, with progress before and a table after."""
+    from contour.console import Reporter, metrics_table
+    from contour.scan import prepare, run
+
+    console = Console(soft_wrap=True, highlight=False)
+    job = prepare(scene)
+    if dry_run:
+        console.print(metrics_table(f"{scene.name}, not scanned", job.outlook()))
+        return OK
+    with Reporter(console) as report:
+        metrics = run(job, folder, progress=report)
+    console.print(metrics_table(f"{scene.name}, results in {folder}", metrics))
+    return OK
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; the exit code."""
+    errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+    try:
+        result = app(arguments, exit_on_error=False, print_error=False)
+    except cyclopts.CycloptsError as error:
+        errors.print(f"contour: {' '.join(str(error).split())} See contour --help.")
+        return WRONG_USAGE
+    except UsageError as error:
+        errors.print(f"contour: {error}")
+        return WRONG_USAGE
+    except LinkError as error:
+        errors.print(f"contour: device: {error}")
+        return DEVICE_FAULT
+    except ContourError as error:
+        errors.print(f"contour: {error}")
+        return KNOWN_ERROR
+    return result if isinstance(result, int) else OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())
