@@ -16,16 +16,30 @@ what curvature, friction and offsets cost.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contour.antenna import Antenna
 from contour.contact import push_cycle
-from contour.sensing import Bins
+from contour.sensing import Bins, Touch
 
-__all__ = ["PARAMETERS", "Estimate", "ModelError", "Prior", "expected_covariance", "fit"]
+__all__ = [
+    "BEND",
+    "LN_S",
+    "LN_TAN_ALPHA",
+    "NU",
+    "PARAMETERS",
+    "R_ALONG",
+    "Estimate",
+    "ModelError",
+    "Prior",
+    "PushData",
+    "expected_covariance",
+    "fit",
+    "prepare",
+]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -40,6 +54,9 @@ _UPPER = np.array([np.log(1.0), np.inf, np.log(np.tan(np.deg2rad(45.0))), 4.0, 4
 _MAX_STEP = np.array([0.5, 0.15, 0.7, 0.5, 5.0])
 _SETTLED = np.array([3e-5, 5e-4, 1e-2, 1e-2, 1e-1])
 _ITERATIONS = 12
+
+DEPTH_SIGMA = 6e-6
+"""How far from the edge of touch the machine may stand where no moment tells: its last step back [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,8 +77,6 @@ class ModelError:
     """More of it per squared tangent of the angle between push and normal beyond the friction cone."""
     moment_bin: float = 2e-4
     """Of the moment, each bin on its own, relative to the peak."""
-    depth: float = 6e-6
-    """Of the depth at which the machine stands at the edge of touch [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,28 +136,45 @@ def _forward(
     return cycle.moment_angle, phi[:, None] - cycle.delta
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Data:
-    """The bins of P pushes and what is eliminated from them."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PushData:
+    """The bins of P pushes, ready to be fitted, and what is known of the nuisances that belong to each push."""
 
-    phi: FloatArray  # (P,)
-    path: FloatArray  # (P, 2B + 1) angles with the turning point
-    force: FloatArray  # (P, 2B, 2)
-    count: FloatArray  # (P, 2B)
-    time: FloatArray  # (P, 2B)
-    theta: FloatArray  # (P, 2B)
-    gravity: FloatArray  # (P, 2B, 2) change of the weight per length along the great circle [N/m]
-    depth: FloatArray  # (P,) m, residual depth of the touch along the push, prior mean
-    tare_variance: FloatArray  # (P,)
-    contact: IntArray  # (P,) contact of each push
+    phi: FloatArray
+    """(P,) rad"""
+    path: FloatArray
+    """(P, 2B + 1) rad, angles of the bins with the turning point between the strokes."""
+    force: FloatArray
+    """(P, 2B, 2) N m"""
+    count: FloatArray
+    """(P, 2B) samples"""
+    time: FloatArray
+    """(P, 2B) s since the tare."""
+    gravity: FloatArray
+    """(P, 2B, 2) N/m, change of the weight per length in Pi since touch."""
+    depth: FloatArray
+    """(P,) m, depth of the beam at rest at touch, along the push."""
+    depth_sigma: FloatArray
+    """(P,) m"""
+    tare_sigma: FloatArray
+    """(P,) N m"""
+    contact: IntArray
+    """(P,) contact that each push belongs to."""
 
-    def take(self, rows: IntArray, contact: IntArray) -> _Data:
-        return _Data(
-            *(getattr(self, name)[rows] for name in list(self.__dataclass_fields__)[:-1]), contact=contact
-        )
+    def take(self, rows: IntArray, contact: IntArray) -> PushData:
+        """The pushes ``rows``, with new contact numbers."""
+        taken = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "contact"}
+        return PushData(**taken, contact=contact)
+
+    @staticmethod
+    def concatenate(parts: list[PushData]) -> PushData:
+        """All pushes of ``parts``."""
+        if len(parts) == 1:
+            return parts[0]
+        return PushData(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(PushData)})
 
 
-def _predict(data: _Data, x: FloatArray, antenna: Antenna) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _predict(data: PushData, x: FloatArray, antenna: Antenna) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Forces (P, 2B, 2), their derivatives (P, 2B, 2, 5), moment (P, 2B) and direction psi (P, 2B)."""
     pushes, nodes = data.path.shape
     stack = np.repeat(x[None], 5, axis=0)
@@ -174,7 +206,7 @@ def _predict(data: _Data, x: FloatArray, antenna: Antenna) -> tuple[FloatArray, 
 
 
 def _normal_equations(
-    data: _Data, x: FloatArray, antenna: Antenna, error: ModelError
+    data: PushData, x: FloatArray, antenna: Antenna, error: ModelError
 ) -> tuple[FloatArray, FloatArray]:
     """Information with everything that belongs to one push eliminated: (P, 6, 6), the last row for the residual."""
     force, derivative, moment, psi = _predict(data, x, antenna)
@@ -205,9 +237,9 @@ def _normal_equations(
     nuisance[:, :, 1, 5] = np.where(back, 0.0, moment)
     nuisance[:, :, 1, 6] = np.where(back, moment, 0.0)
     spread = np.empty((pushes, 7))
-    spread[:, 0:2] = data.tare_variance[:, None]
+    spread[:, 0:2] = data.tare_sigma[:, None] ** 2
     spread[:, 2:4] = max(antenna.sensor.moment_drift, 1e-9) ** 2
-    spread[:, 4] = error.depth**2
+    spread[:, 4] = data.depth_sigma**2
     spread[:, 5:7] = error.direction_bias**2
     columns = np.concatenate((turned(derivative), turned(data.force - force)[..., None]), axis=3)
     columns = columns.reshape(pushes, 2 * bins, PARAMETERS + 1)
@@ -233,8 +265,11 @@ def _information(prior: Prior) -> FloatArray:
     return np.where(np.isfinite(prior.sigma), 1.0 / np.maximum(prior.sigma, 1e-12) ** 2, 0.0)
 
 
-def prepare(bins: Bins, depth: FloatArray, tare_variance: FloatArray, contact: IntArray, antenna: Antenna) -> _Data:
-    """Bins of P pushes, the depth at rest along each push and the variance of its tare, ready for :func:`fit`."""
+def prepare(bins: Bins, touch: Touch, distance: FloatArray, contact: IntArray, antenna: Antenna) -> PushData:
+    """Bins of P pushes from ``touch`` (P rows) as data; ``distance`` (P,) m is a first guess of s.
+
+    The moment at rest tells how deep the beam stands; without one it may also stand a little clear of the body.
+    """
     half = bins.theta.shape[1] // 2
     slots = (np.arange(half) + 0.5) / half
     full = np.concatenate((slots, slots[::-1])) * bins.peak[:, None]
@@ -242,21 +277,26 @@ def prepare(bins: Bins, depth: FloatArray, tare_variance: FloatArray, contact: I
     push = np.stack((np.cos(bins.phi), np.sin(bins.phi)), axis=1)
     along = np.sum(bins.up * push, axis=1)
     change = -bins.up_along[:, None] * np.sin(theta) - along[:, None] * (1.0 - np.cos(theta))
-    return _Data(
+    noise = antenna.sensor.moment_noise
+    tare_sigma = noise / np.sqrt(np.maximum(touch.tare_samples, 1))
+    rest_sigma = np.hypot(tare_sigma, noise / np.sqrt(np.maximum(touch.preload_samples, 1)))
+    held = -(touch.preload[:, 0] * np.cos(touch.approach) + touch.preload[:, 1] * np.sin(touch.approach))
+    per_moment = distance**2 / antenna.stiffness3
+    return PushData(
         phi=bins.phi,
         path=np.concatenate((theta[:, :half], bins.peak[:, None], theta[:, half:]), axis=1),
         force=bins.force,
         count=bins.count,
         time=bins.time,
-        theta=theta,
         gravity=-antenna.beam.line_weight * change[..., None] * push[:, None, :],
-        depth=depth,
-        tare_variance=tare_variance,
+        depth=np.maximum(held, 0.0) * per_moment,
+        depth_sigma=np.hypot(DEPTH_SIGMA, rest_sigma * per_moment),
+        tare_sigma=tare_sigma,
         contact=contact,
     )
 
 
-def fit(data: _Data, prior: Prior, start: FloatArray, antenna: Antenna, error: ModelError) -> Estimate:
+def fit(data: PushData, prior: Prior, start: FloatArray, antenna: Antenna, error: ModelError) -> Estimate:
     """Fit n contacts to all their pushes.
 
     Args:
@@ -317,7 +357,7 @@ def fit(data: _Data, prior: Prior, start: FloatArray, antenna: Antenna, error: M
 
 
 def expected_covariance(
-    data: _Data, x: FloatArray, information: FloatArray, antenna: Antenna, error: ModelError
+    data: PushData, x: FloatArray, information: FloatArray, antenna: Antenna, error: ModelError
 ) -> FloatArray:
     """(P, 5, 5) covariance that each of the P imagined pushes of ``data`` would leave.
 

@@ -6,9 +6,9 @@ zero of free air and the weight of the beam taken out, the sensor's spin taken o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,18 @@ from contour.contacts import Contacts
 from contour.frames import Mount, carried_push, plane_angle, rotation_base_sensor
 from contour.instrument import ApproachReading, PushReading, Samples, Stroke, Watch
 
-__all__ = ["BINS", "Action", "Ask", "Bins", "Strategy", "Touch", "binned", "make_touch"]
+__all__ = [
+    "BINS",
+    "Action",
+    "Ask",
+    "Bins",
+    "RunawayWatch",
+    "Strategy",
+    "Touch",
+    "binned",
+    "locate",
+    "make_touch",
+]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -72,6 +83,8 @@ class Touch:
     """(n, 2) rad, phi1 and phi2 at touch."""
     base_in_plane: FloatArray
     """(n, 2) m, centre of rotation in Pi: components along x_s and z_s of the world position."""
+    base_along: FloatArray
+    """(n,) m, its component along the beam."""
     approach: FloatArray
     """(n,) rad, direction in Pi of the motion that touched."""
     approach_share: FloatArray
@@ -98,6 +111,10 @@ class Touch:
     def __len__(self) -> int:
         return int(self.which.size)
 
+    def take(self, rows: IntArray) -> Self:
+        """The touches ``rows``."""
+        return type(self)(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bins:
@@ -119,6 +136,10 @@ class Bins:
     """(P, 2) share of the world's up along x_s and z_s at touch."""
     up_along: FloatArray
     """(P,) share of the world's up along the beam at touch."""
+
+    def take(self, rows: IntArray) -> Self:
+        """The pushes ``rows``."""
+        return type(self)(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
 
 class Strategy(Protocol):
@@ -203,6 +224,7 @@ def make_touch(
         which=reading.which,
         joints=reading.pose[:, 3:5],
         base_in_plane=in_plane,
+        base_along=np.sum(position * rotation[:, :, 1], axis=1),
         approach=plane_angle(reading.direction_world, rotation),
         approach_share=share,
         tare=tare,
@@ -265,3 +287,52 @@ def binned(reading: PushReading, touch: Touch, antenna: Antenna, mount: Mount) -
         up=up_plane,
         up_along=up_along,
     )
+
+
+def locate(
+    touch: Touch, axis: FloatArray, distance: FloatArray, outward: FloatArray, antenna: Antenna, mount: Mount
+) -> tuple[FloatArray, FloatArray]:
+    """Surface points and outward normals in the world, (n, 3) each, of contacts at ``distance`` along the beam.
+
+    ``axis`` (n, 2) m is the beam's axis in Pi; the surface lies one beam radius from it, against the normal.
+    """
+    frame = mount.rotation @ rotation_base_sensor(touch.joints[:, 0], touch.joints[:, 1])
+    normal = np.cos(outward)[:, None] * frame[:, :, 0] + np.sin(outward)[:, None] * frame[:, :, 2]
+    along = touch.base_along + distance
+    base = axis[:, :1] * frame[:, :, 0] + axis[:, 1:] * frame[:, :, 2]
+    return base + along[:, None] * frame[:, :, 1] - antenna.beam.radius * normal, normal
+
+
+RUN = np.deg2rad(35.0)
+"""Turn of the force during a push from which it runs round the body."""
+FALL = 0.35
+"""Share of its largest moment to which a push may fall on the way out before it has slipped off."""
+
+
+class RunawayWatch:
+    """Ends pushes whose force runs round the body, or falls away, while they are made (physics: q below 1)."""
+
+    def __init__(self, touch: Touch, phi: FloatArray, angle: FloatArray, antenna: Antenna) -> None:
+        self._touch = touch
+        self._angle = angle
+        self._noise = antenna.sensor.moment_noise
+        self._first = np.full(phi.size, np.nan)
+        self._largest = np.zeros(phi.size)
+
+    def __call__(self, rows: IntArray, chunk: Samples) -> FloatArray:
+        """Angles to go on to, from the newest samples of the pushes ``rows``."""
+        count = np.diff(chunk.start)
+        over = chunk.moment - self._touch.tare[rows][chunk.run]
+        late = np.maximum(chunk.start[1:] - 5, chunk.start[:-1])  # the newest five samples
+        total = np.add.reduceat(np.vstack((over, np.zeros((1, 2)))), np.stack((late, chunk.start[1:]), 1).ravel())[::2]
+        mean = total / np.minimum(count, 5)[:, None]
+        size = np.hypot(mean[:, 0], mean[:, 1])
+        psi = np.arctan2(mean[:, 0], -mean[:, 1])
+        loaded = size > 12.0 * self._noise
+        begins = loaded & np.isnan(self._first[rows])
+        self._first[rows[begins]] = psi[begins]
+        turned = np.abs(np.mod(psi - np.nan_to_num(self._first[rows]) + np.pi, 2.0 * np.pi) - np.pi)
+        self._largest[rows] = np.maximum(self._largest[rows], size)
+        runs = loaded & (turned > RUN)
+        falls = (self._largest[rows] > 30.0 * self._noise) & (size < FALL * self._largest[rows])
+        return np.where(runs | falls, 0.0, self._angle[rows])

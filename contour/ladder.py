@@ -1,0 +1,127 @@
+"""The ladder of forward models for the simulator: the cheapest rung whose estimated error is under the tolerance.
+
+    edge      the closed forms of Kaneko1998, slips mended: no memory, no curvature
+    reduced   the reduced rod on the contact's two radii
+    profile   the reduced rod on the true silhouette of the mesh
+    elastica  the geometrically exact rod on the two radii
+
+``auto`` picks per push from u = R theta/s, q = R_l/(s theta), theta, mu theta and the slide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contour import contact as reduced
+from contour import elastica
+from contour.contacts import Kind
+from contour.errors import UsageError
+from contour.virtual import TrueContact
+
+__all__ = ["RUNGS", "Ladder", "Rung", "choose"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class Rung(IntEnum):
+    """Forward models, cheapest first."""
+
+    EDGE = 0
+    REDUCED = 1
+    PROFILE = 2
+    ELASTICA = 3
+
+
+RUNGS = ("auto", *(rung.name.lower() for rung in Rung))
+"""Names that a scene may ask for."""
+
+Silhouette = Callable[[IntArray, FloatArray], tuple[FloatArray, FloatArray]]
+"""``silhouette(rows, reach)``: offsets (m,) shares and heights (n, m) of the outlines of the contacts ``rows``, out to
+``reach`` (n,) m on both sides."""
+
+
+def slide_estimate(contact: TrueContact, eps: FloatArray, peak: FloatArray) -> FloatArray:
+    """(n,) m, how far a push may slide across: all of its part outside the cone, a creep inside it."""
+    alpha = np.arctan(contact.friction)
+    depth = contact.distance * peak
+    outside = np.sin(np.abs(eps)) - np.cos(eps) * np.tan(np.minimum(alpha, 1.4))
+    creep = 0.12 * np.abs(eps) / np.maximum(alpha, 0.02) * peak
+    return depth * np.maximum(np.maximum(outside, 0.0), np.minimum(creep, 1.0)) + 1e-6
+
+
+def choose(contact: TrueContact, eps: FloatArray, peak: FloatArray, tolerance: float) -> NDArray[np.int8]:
+    """Cheapest rung of each push whose estimated relative error of the moment is under ``tolerance``.
+
+    The estimates bound what was measured against the exact rung (docs/derivations.md): the edge forms leave out
+    3/8 u, the turn of the normal by the slide and friction's memory; the reduced rod leaves out second orders of u
+    and of 1/q.
+    """
+    depth = contact.distance * peak
+    slide = slide_estimate(contact, eps, peak)
+    u = contact.radius_along * peak / contact.distance
+    bend = np.abs(1.0 / np.where(contact.radius_across == 0.0, 1e-9, contact.radius_across))
+    outside = np.abs(eps) > 0.9 * np.arctan(contact.friction)
+    turn = slide * bend
+    edge = 0.375 * u + 0.24 * peak**2 + 0.2 * contact.friction * peak + turn + np.where(outside, 0.3 * np.abs(np.tan(eps)) * peak, 0.0)
+    q_inverse = np.minimum(depth * bend, 4.0)
+    exact = 0.06 * u * u + 0.02 * u * contact.friction + np.where(outside, 0.012 * q_inverse**2 * np.tan(np.abs(eps)) ** 2, 0.0)
+    uneven = slide > contact.extent
+    rung = np.where(edge <= tolerance, Rung.EDGE, Rung.REDUCED)
+    rung = np.where((rung == Rung.REDUCED) & (exact > tolerance), Rung.ELASTICA, rung)
+    return np.where(uneven, Rung.PROFILE, rung).astype(np.int8)
+
+
+class Ladder:
+    """Answers pushes with the rung asked for, or the cheapest that holds, and remembers which it was."""
+
+    def __init__(self, rung: str, tolerance: float, silhouette: Silhouette | None = None) -> None:
+        if rung not in RUNGS:
+            raise UsageError(f"rung {rung!r} is not known: use one of {', '.join(RUNGS)}")
+        self._fixed = None if rung == "auto" else Rung[rung.upper()]
+        self._tolerance = tolerance
+        self._silhouette = silhouette
+        self.used = np.zeros(0, dtype=np.int8)
+        """(n,) :class:`Rung` of each row of the last call."""
+        self.unconverged = 0
+        """Pushes of the exact rung that did not converge so far."""
+
+    def __call__(
+        self, contact: TrueContact, eps: FloatArray, path: FloatArray, rows: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Moment angle and delta (n, k) along ``path`` (n, k); a :data:`contour.virtual.Response`."""
+        peak = path.max(axis=1)
+        if self._fixed is None:
+            rung = choose(contact, eps, peak, self._tolerance)
+        else:
+            rung = np.full(eps.size, self._fixed, dtype=np.int8)
+        if self._silhouette is None:
+            rung = np.where(rung == Rung.PROFILE, np.int8(Rung.ELASTICA), rung)
+        rung = np.where(contact.kind == Kind.TIP, np.int8(Rung.ELASTICA), rung)
+        moment, delta = np.zeros_like(path), np.full_like(path, np.pi)
+        for level in Rung:
+            some = np.flatnonzero(rung == level)
+            if some.size:
+                moment[some], delta[some] = self._answer(level, contact.take(some), eps[some], path[some], rows[some])
+        self.used = rung
+        return moment, delta
+
+    def _answer(
+        self, level: Rung, contact: TrueContact, eps: FloatArray, path: FloatArray, rows: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        model = elastica if level == Rung.ELASTICA else reduced
+        cycle = model.push_cycle(
+            eps,
+            path,
+            distance=contact.distance,
+            friction=contact.friction,
+            radius_along=contact.radius_along,
+            radius_across=contact.radius_across,
+        )
+        if level == Rung.ELASTICA:
+            self.unconverged += int(np.count_nonzero(~cycle.converged))
+        return np.where(cycle.slipped_off, 0.0, cycle.moment_angle), cycle.delta
