@@ -1,7 +1,7 @@
 """The command line: it parses, calls, and turns errors into exit codes.
 
-0 done; 1 a known error; 2 wrong usage or bad input; 3 trouble with a device: each told in one line. Errors that
-nobody foresaw keep their traceback.
+0 done; 1 a known error; 2 wrong usage or bad input; 3 trouble with a device: each told in one line. Errors
+that nobody foresaw keep their traceback.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ On a terminal progress is one line that moves; elsewhere it is a plain line now 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from types import TracebackType
@@ -21,23 +22,17 @@ __all__ = ["Reporter", "findings_table", "metrics_table"]
 _INTERVAL = 5.0
 """Plain lines come no more often than this [s]."""
 
-_LABELS: dict[str, tuple[str, float, str]] = {
-    "contacts": ("", 1.0, ".0f"),
-    "flagged": ("", 1.0, ".0f"),
-    "pushes_per_contact": ("", 1.0, ".2f"),
-    "s_error_rms_rel": ("%", 100.0, ".3f"),
-    "point_error_rms_m": ("mm", 1e3, ".3f"),
-    "point_error_p99_m": ("mm", 1e3, ".3f"),
-    "normal_error_median_rad": ("deg", 57.29577951308232, ".2f"),
-    "normal_error_p95_rad": ("deg", 57.29577951308232, ".2f"),
-    "coverage_95": ("%", 100.0, ".1f"),
-    "silently_wrong": ("", 1.0, ".0f"),
-    "rays_cast": ("", 1.0, ".0f"),
-    "scan_s": ("s", 1.0, ".2f"),
-    "contacts_per_s": ("1/s", 1.0, ".0f"),
-    "machine_time_s": ("h", 1.0 / 3600.0, ".2f"),
-}
-"""Unit shown, factor from SI and format of each metric."""
+_UNITS: tuple[tuple[str, str, float, str], ...] = (
+    ("_per_s", "1/s", 1.0, ".0f"),
+    ("time_s", "h", 1.0 / 3600.0, ".2f"),
+    ("_s", "s", 1.0, ".2f"),
+    ("_m", "mm", 1e3, ".3f"),
+    ("_rad", "deg", 180.0 / math.pi, ".2f"),
+    ("_rel", "%", 100.0, ".3f"),
+)
+"""How names end, the unit shown for them, its factor from SI, and the format."""
+_SHARES = ("coverage",)
+"""Beginnings of names that are shares, shown in percent."""
 
 
 class Reporter:
@@ -88,18 +83,30 @@ def metrics_table(title: str, metrics: Mapping[str, Any]) -> Table:
     for name, value in metrics.items():
         if isinstance(value, Mapping):
             for part, count in value.items():
-                table.add_row(f"{_words(name)}: {part}", f"{count}", "")
-        elif value is not None and name in _LABELS:
-            unit, factor, form = _LABELS[name]
-            table.add_row(_words(name), format(factor * value, form), unit)
+                table.add_row(f"{name}: {part}".replace("_", " "), str(count), "")
+        elif value is not None:
+            table.add_row(*_row(name, value))
     return table
 
 
-def _words(name: str) -> str:
-    """A metric's name without the unit it has in the file."""
-    for suffix in ("_rel", "_m", "_rad", "_s"):
-        name = name.removesuffix(suffix)
-    return name.replace("_", " ")
+def _row(name: str, value: Any) -> tuple[str, str, str]:
+    """Label, value and unit of one figure; the unit follows from the end of its name."""
+    unit, factor, form = "", 1.0, ".3f"
+    label = name
+    for ending, its_unit, its_factor, its_form in _UNITS:
+        if name.endswith(ending):
+            unit, factor, form = its_unit, its_factor, its_form
+            label = name.removesuffix("_s" if ending == "time_s" else ending)
+            break
+    if name.startswith(_SHARES):
+        unit, factor, form = "%", 100.0, ".1f"
+    values = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+    texts = [
+        str(item) if isinstance(item, str | int) and not unit else format(factor * item, form)
+        for item in values
+    ]
+    label += " per second" if name.endswith("_per_s") else ""
+    return label.replace("_", " "), " x ".join(texts), unit
 
 
 def findings_table(findings: Sequence[Finding]) -> Table:

@@ -17,7 +17,7 @@ from contour.errors import UsageError
 
 __all__ = ["ANY_LENGTH", "DIMENSIONS", "METRES_PER", "Key", "closest", "read_section"]
 
-METRES_PER = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 25.4e-3, "ft": 0.3048}
+METRES_PER = {"m": 1.0, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 25.4e-3, "ft": 0.3048}
 """Units of length, in m."""
 
 ANY_LENGTH = -1

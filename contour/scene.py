@@ -1,7 +1,7 @@
 """Scenes: what is mapped, with which antenna on which machine, and how; from TOML or made for a bare mesh.
 
-Sections of a scene file, every key optional but ``mesh``; lengths, angles and so on carry a unit in the key or in
-the value (contour.quantities)::
+Sections of a scene file; every key but ``mesh`` is optional; lengths, angles and so on carry a unit in the
+key or in the value (contour.quantities)::
 
     [[object]]                      # one or more bodies
     mesh = "mug.ply"                # relative to the scene file
@@ -41,7 +41,7 @@ __all__ = ["RUNGS", "STRATEGIES", "Body", "PlanSettings", "ScanSettings", "Scene
 
 FloatArray = NDArray[np.float64]
 
-STRATEGIES = ("model", "bisection", "bisection-limited", "one-push")
+STRATEGIES = ("model", "model-out", "bisection", "bisection-limited", "one-push")
 """Names of the strategies."""
 RUNGS = ("auto", "edge", "reduced", "profile", "elastica")
 """Forward models of the simulator, cheapest first, and the choice between them."""

@@ -188,8 +188,8 @@ class Mug(Implicit):
 
     def mesh(self) -> TriangleMesh:
         """Surface nets, pulled onto the surface."""
-        low, high = np.array([-42e-3, -42e-3, -6e-3]), np.array([70e-3, 42e-3, 86e-3])
-        net = surface_nets(self.value, low + 1e-6, high, self.cell)
+        low, high = np.array([-41.7e-3, -42.2e-3, -6.3e-3]), np.array([70e-3, 42e-3, 86e-3])
+        net = surface_nets(self.value, low, high, self.cell)
         return oriented(TriangleMesh(self.onto(net.vertices), net.faces))
 
 
