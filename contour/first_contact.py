@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contour.bvh import Bvh, Regions
+from contour.capsule import Features, slide_features, turn_features
 from contour.motions import AXIAL, Motions
 from contour.rays import RayCaster
 from contour.sweep import Pieces, Where, axial_pieces, slide_pieces, turn_pieces
@@ -83,17 +84,16 @@ class FirstContactSolver:
         self.rays = RayCaster(self.triangles)
         """The same triangles for embree."""
 
-    def solve(self, motions: Motions) -> Touches:
-        """The first touch of each beam."""
-        parts = [
-            self._solve(motions.rows(slice(start, start + CHUNK)))
-            for start in range(0, len(motions.base), CHUNK)
-        ]
-        return join(parts)
+    def solve(self, motions: Motions, radius: float = 0.0) -> Touches:
+        """The first touch of each beam, as a line or as a capsule of the radius [m] about it."""
+        parts = []
+        for start in range(0, len(motions.base), CHUNK):
+            part = motions.rows(slice(start, start + CHUNK))
+            parts.append(self._thick(part, radius) if radius > 0.0 else self._thin(part))
+        return _join(parts)
 
-    def _solve(self, motions: Motions) -> Touches:
-        sine = np.linalg.norm(np.cross(motions.direction, motions.advance), axis=1)
-        axial = np.zeros(len(sine), dtype=np.bool_) if motions.turning else sine < AXIAL
+    def _thin(self, motions: Motions) -> Touches:
+        axial = _axial(motions)
         if not axial.any():
             return self._narrow(motions, turn_pieces if motions.turning else slide_pieces)
         touches = _nothing(len(axial))
@@ -101,8 +101,44 @@ class FirstContactSolver:
         if len(rows):
             _put(touches, rows, self._narrow(motions.rows(rows), slide_pieces))
         rows = np.nonzero(axial)[0]
-        _put(touches, rows, self._axial(motions.rows(rows)))
+        _put(touches, rows, self._along(motions.rows(rows)))
         return touches
+
+    def _thick(self, motions: Motions, radius: float) -> Touches:
+        n = len(motions.base)
+        face = self._turn_hint(motions) if motions.turning else self._slide_hint(motions)
+        row = np.nonzero(face >= 0)[0]
+        bound = motions.limit.copy()
+        # A capsule about an axis that meets a face meets it no later than the axis does.
+        first = _features(motions.rows(row), self._square(motions, row, face[row]), radius).travel.min(axis=1)
+        bound[row] = np.minimum(bound[row], first)
+        regions = _swept(motions, bound, radius)
+        owner, leaf = self.bvh.leaves_in(regions)
+        owner, face = self._candidates(regions, owner, leaf)
+        features = _features(motions.rows(owner), self._square(motions, owner, face), radius)
+        return _reduce_features(motions, owner, face, features, n)
+
+    def _candidates(self, regions: Regions, owner: IntArray, leaf: IntArray) -> tuple[IntArray, IntArray]:
+        """Faces of the leaves that meet the first two slabs: owner (k,), face (k,)."""
+        vertices = self.bvh.leaf_vertices.take(leaf, axis=0)
+        near = np.ones((len(leaf), vertices.shape[2] // 3), dtype=np.bool_)
+        for slab in (0, 1):
+            value = np.einsum("kjv,kj->kv", vertices, regions.slabs[:, slab].take(owner, axis=0))
+            value = value.reshape(len(leaf), -1, 3)
+            least = np.minimum(np.minimum(value[..., 0], value[..., 1]), value[..., 2])
+            most = np.maximum(np.maximum(value[..., 0], value[..., 1]), value[..., 2])
+            near &= least <= regions.high[:, slab].take(owner)[:, None]
+            near &= most >= regions.low[:, slab].take(owner)[:, None]
+        row, slot = np.nonzero(near)
+        return owner.take(row), self.bvh.leaf_faces.take(leaf.take(row), axis=0)[np.arange(len(row)), slot]
+
+    def _square(self, motions: Motions, owner: IntArray, face: IntArray) -> FloatArray:
+        """Corners (k, 3, 3) along the beam, ahead of it in the swept plane, and normal to that, from the base."""
+        axes = np.stack(
+            [motions.direction, np.cross(motions.frame[:, 2], motions.direction), motions.frame[:, 2]], axis=1
+        )
+        corners = self.triangles.take(face, axis=0) - motions.base.take(owner, axis=0)[:, None]
+        return np.asarray(np.einsum("kvj,ksj->kvs", corners, axes.take(owner, axis=0)))
 
     def _narrow(self, motions: Motions, pieces: Callable[[FloatArray, FloatArray], Pieces]) -> Touches:
         proposed = self._bound(motions, pieces)
@@ -123,15 +159,10 @@ class FirstContactSolver:
         owner, face, local = self._crossing(motions, regions, owner, leaf)
         return _reduce(motions, owner, face, pieces(local, motions.length.take(owner)))
 
-    def _axial(self, motions: Motions) -> Touches:
-        n = len(motions.base)
+    def _along(self, motions: Motions) -> Touches:
+        """Beams that move along themselves."""
         forward = np.einsum("ij,ij->i", motions.direction, motions.advance) > 0.0
-        zero = np.zeros(n)
-        low = np.stack([zero, zero, np.where(forward, 0.0, -motions.limit)], axis=1) - SLACK
-        high = np.stack([zero, zero, motions.length + np.where(forward, motions.limit, 0.0)], axis=1) + SLACK
-        order = motions.frame[:, [2, 1, 0]]
-        shift = np.einsum("nsj,nj->ns", order, motions.base)
-        regions = Regions(slabs=order, low=low + shift, high=high + shift)
+        regions = _swept(motions, motions.limit)
         owner, leaf = self.bvh.leaves_in(regions)
         owner, face, local = self._crossing(motions, regions, owner, leaf)
         found = axial_pieces(local, motions.length.take(owner), forward.take(owner))
@@ -224,26 +255,76 @@ class FirstContactSolver:
         return found
 
 
-def _swept(motions: Motions, bound: FloatArray) -> Regions:
+def _axial(motions: Motions) -> NDArray[np.bool_]:
+    """Which beams move along themselves (n,)."""
+    if motions.turning:
+        return np.zeros(len(motions.base), dtype=np.bool_)
+    sine = np.linalg.norm(np.cross(motions.direction, motions.advance), axis=1)
+    return np.asarray(sine < AXIAL)
+
+
+def _swept(motions: Motions, bound: FloatArray, radius: float = 0.0) -> Regions:
     """What the beams sweep until the bound, as regions for the tree."""
     n = len(bound)
-    wide = TIE + SLACK
     normal, ahead, along = motions.frame[:, 2], motions.frame[:, 1], motions.frame[:, 0]
-    zero = np.zeros(n)
-    if not motions.turning:
-        slabs = np.stack([normal, ahead, along], axis=1)
-        low = np.stack([zero, zero, zero], axis=1) - SLACK
-        high = np.stack([zero + SLACK, bound + wide, motions.length + SLACK], axis=1)
-        centre = reach = None
-    else:
+    low, high = np.zeros((n, 3)), np.zeros((n, 3))
+    centre = reach = None
+    if motions.turning:
         # Up to a half turn the sector is convex: before the beam's last position, ahead of its first.
         c, s = np.cos(bound)[:, None], np.sin(bound)[:, None]
         slabs = np.stack([normal, c * ahead - s * along, ahead], axis=1)
-        low = np.stack([zero - SLACK, np.full(n, -np.inf), zero - SLACK], axis=1)
-        high = np.stack([zero + SLACK, zero + wide, np.full(n, np.inf)], axis=1)
-        centre, reach = motions.base, motions.length + SLACK
+        low[:, 1], high[:, 1], high[:, 2] = -np.inf, TIE, np.inf
+        centre, reach = motions.base, motions.length + SLACK + radius
+    else:
+        slabs = np.stack([normal, ahead, along], axis=1)
+        axial = _axial(motions)
+        forward = np.einsum("ij,ij->i", motions.direction, motions.advance) > 0.0
+        high[:, 1] = np.where(axial, 0.0, bound + TIE)
+        low[:, 2] = np.where(axial & ~forward, -bound, 0.0)
+        high[:, 2] = motions.length + np.where(axial & forward, bound, 0.0)
+    pad = SLACK + radius * np.linalg.norm(slabs, axis=2)
     shift = np.einsum("nsj,nj->ns", slabs, motions.base)
-    return Regions(slabs=slabs, low=low + shift, high=high + shift, centre=centre, reach=reach)
+    return Regions(slabs=slabs, low=low + shift - pad, high=high + shift + pad, centre=centre, reach=reach)
+
+
+def _features(motions: Motions, local: FloatArray, radius: float) -> Features:
+    """Travel to the features of one triangle (k, 3, 3) for each of k motions."""
+    if motions.turning:
+        return turn_features(local, motions.length, radius)
+    along = np.einsum("kj,kj->k", motions.advance, motions.direction)
+    ahead = np.where(_axial(motions), 0.0, np.sqrt(np.maximum(1.0 - along * along, 0.0)))
+    return slide_features(local, motions.length, radius, along, ahead)
+
+
+def _reduce_features(
+    motions: Motions, owner: IntArray, face: IntArray, features: Features, n: int
+) -> Touches:
+    """From all features to the first touch of each beam."""
+    touches = _nothing(n)
+    column = features.travel.argmin(axis=1) if len(owner) else np.zeros(0, dtype=np.int64)
+    rows = np.arange(len(owner))
+    travel = features.travel[rows, column]
+    travel = np.where(travel <= motions.limit.take(owner), travel, np.inf)
+    best = _first_of(travel, owner, n)
+    pick = _pick((travel == best.take(owner)) & np.isfinite(travel), owner, n)
+    found = np.nonzero(pick >= 0)[0]
+    pick = pick[found]
+    touches.travel[found] = travel[pick]
+    touches.face[found] = touches.near_face[found] = face[pick]
+    touches.where[found] = features.where[column[pick]]
+    for name in ("distance", "near", "far"):
+        getattr(touches, name)[found] = features.distance[pick, column[pick]]
+    reach = touches.travel + (TIE / motions.length if motions.turning else TIE)
+    free = np.isfinite(touches.travel) & (touches.where != Where.THROUGH) & (touches.travel > 0.0)
+    tied = (features.travel <= reach.take(owner)[:, None]) & free.take(owner)[:, None]
+    low = np.where(tied, features.distance, np.inf).min(axis=1)
+    least = _first_of(low, owner, n)
+    most = -_first_of(-np.where(tied, features.distance, -np.inf).max(axis=1), owner, n)
+    pick = _pick(np.isfinite(low) & (low == least.take(owner)), owner, n)
+    found = np.nonzero(pick >= 0)[0]
+    touches.near[found], touches.far[found] = least[found], most[found]
+    touches.near_face[found] = face[pick[found]]
+    return touches
 
 
 def _reduce(motions: Motions, owner: IntArray, face: IntArray, pieces: Pieces) -> Touches:
@@ -315,7 +396,7 @@ def _put(into: Touches, rows: IntArray, touches: Touches) -> None:
         getattr(into, name)[rows] = getattr(touches, name)
 
 
-def join(parts: list[Touches]) -> Touches:
+def _join(parts: list[Touches]) -> Touches:
     """Touches of several batches as one."""
     if not parts:
         return _nothing(0)

@@ -55,14 +55,18 @@ class Motions:
         return self.base, c * self.direction + s * self.advance, c * self.advance - s * self.direction
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+def _any_square(direction: FloatArray) -> FloatArray:
+    """Unit vectors square to directions (n, 3)."""
+    square = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction), axis=1)])
+    return np.asarray(square / np.linalg.norm(square, axis=1)[:, None])
 
 
 def slides(base: FloatArray, direction: FloatArray, length: FloatArray, translation: FloatArray) -> Motions:
     """Beams that keep their direction while the base moves along the translation (n, 3) [m]."""
     limit = np.linalg.norm(translation, axis=1)
-    advance = translation / limit[:, None]
+    # Beams that stay where they are are only asked whether they touch; any plane through them will do.
+    still = limit <= 0.0
+    advance = np.where(still[:, None], _any_square(direction), translation) / np.where(still, 1.0, limit)[:, None]
     along = np.einsum("ij,ij->i", advance, direction)
     # Twice, because the first difference loses digits where the motion is nearly along the beam.
     across = advance - along[:, None] * direction
@@ -70,7 +74,7 @@ def slides(base: FloatArray, direction: FloatArray, length: FloatArray, translat
     sine = np.linalg.norm(across, axis=1)
     axial = sine < AXIAL
     # Beams that move along themselves sweep a line; any plane through it does.
-    across[axial] = _unit(np.cross(direction[axial], np.eye(3)[np.argmin(np.abs(direction[axial]), axis=1)]))
+    across[axial] = _any_square(direction[axial])
     across[~axial] /= sine[~axial, None]
     sine[axial] = np.inf
     frame = np.zeros((len(base), 3, 3))

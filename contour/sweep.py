@@ -14,7 +14,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Pieces", "Where", "axial_pieces", "slide_pieces", "turn_pieces"]
+__all__ = ["Pieces", "Where", "axial_pieces", "plane_segments", "slide_pieces", "turn_pieces"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -48,7 +48,7 @@ class Pieces:
     y: FloatArray  # (k, 2)
 
 
-def _plane_segments(
+def plane_segments(
     local: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray, IntArray]:
     """Where triangles (k, 3 vertices, 3 coordinates) that cross z = 0 cut it: xa, ya, xb, yb and their edges."""
@@ -66,7 +66,8 @@ def _plane_segments(
 
 
 def slide_pieces(local: FloatArray, length: FloatArray) -> Pieces:
-    xa, ya, xb, yb, edge_a, edge_b = _plane_segments(local)
+    """Triangles (k, 3, 3) that cross z = 0 against beams of length (k,) that translate, y the travel."""
+    xa, ya, xb, yb, edge_a, edge_b = plane_segments(local)
     swap = xa > xb
     xa, xb = np.where(swap, xb, xa), np.where(swap, xa, xb)
     ya, yb = np.where(swap, yb, ya), np.where(swap, ya, yb)
@@ -94,7 +95,8 @@ def slide_pieces(local: FloatArray, length: FloatArray) -> Pieces:
 
 
 def turn_pieces(local: FloatArray, length: FloatArray) -> Pieces:
-    xa, ya, xb, yb, edge_a, edge_b = _plane_segments(local)
+    """Triangles (k, 3, 3) that cross z = 0 against beams of length (k,) that turn from x towards y."""
+    xa, ya, xb, yb, edge_a, edge_b = plane_segments(local)
     dx, dy = xb - xa, yb - ya
     # |a + u (b - a)|^2 = length^2: the disc cuts the segment to u0 <= u <= u1.
     square = dx * dx + dy * dy
@@ -132,7 +134,7 @@ def turn_pieces(local: FloatArray, length: FloatArray) -> Pieces:
 
 def axial_pieces(local: FloatArray, length: FloatArray, forward: NDArray[np.bool_]) -> Pieces:
     """Beams that move along themselves: the line y = z = 0 is all they sweep."""
-    xa, ya, xb, yb, _, _ = _plane_segments(local)
+    xa, ya, xb, yb, _, _ = plane_segments(local)
     drop = ya - yb
     met = (np.minimum(ya, yb) <= 0.0) & (np.maximum(ya, yb) >= 0.0)
     x = xa + ya / np.where(drop != 0.0, drop, 1.0) * (xb - xa)

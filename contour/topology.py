@@ -57,6 +57,8 @@ class Topology:
     """As ``corners``, but with vertices on creases split, one for each smooth patch around them (f, 3)."""
     patch_count: int
     """Number of split vertices."""
+    crease_at: IntArray
+    """One of the sharp edges at each welded vertex (v,), -1 where there is none."""
     curve: FloatArray
     """Curvature vector of the crease through each welded vertex (v, 3) [1/m]; zero off creases and at corners."""
 
@@ -73,6 +75,8 @@ def build_topology(vertices: FloatArray, faces: IntArray, body: IntArray) -> Top
     dihedral = _dihedral(normals, edge_faces)
     sharp = _sharp(dihedral, face_edges, edge_faces)
     patch_corners, patch_count = _patches(corners, face_edges, edge_faces, sharp)
+    crease_at = np.full(len(welded), -1, dtype=np.int64)
+    crease_at[edge_vertices[sharp]] = np.nonzero(sharp)[0][:, None]
     return Topology(
         vertices=welded,
         corners=corners,
@@ -85,6 +89,7 @@ def build_topology(vertices: FloatArray, faces: IntArray, body: IntArray) -> Top
         sharp=sharp,
         patch_corners=patch_corners,
         patch_count=patch_count,
+        crease_at=crease_at,
         curve=_crease_curvature(welded, edge_vertices[sharp]),
     )
 

@@ -1,0 +1,336 @@
+"""A beam with a radius against triangles: when a moving capsule first comes to within its radius of each.
+
+At the first touch the nearest pair of points is one of a few features: the beam's axis and an edge or a vertex of the
+triangle, or one of its end points and the face, an edge or a vertex. For each the travel at which the gap shrinks to
+the radius has a closed form (docs/derivations-geometry.md); it counts where the nearest points at that travel lie on
+the feature. Coordinates are square: X along the beam, Y ahead of it in the swept plane, Z normal to that plane, from
+the base.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contour.sweep import Where, plane_segments
+
+__all__ = ["Features", "slide_features", "turn_features"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+_EDGE_CODES = (Where.EDGE_0, Where.EDGE_1, Where.EDGE_2)
+ON_FEATURE = 1e-9
+"""Shares and lengths, relative, by which a nearest point may miss its feature: neighbours share their ends."""
+ROOT_STEPS = 100
+"""Steps of the one root without a closed form; simple roots take about six each."""
+ROOT_PUSH = 1e-7
+"""Step that leaves a root behind [rad]."""
+
+
+@dataclass(slots=True)
+class Features:
+    """Travel to each of m features of k triangles, inf where it is not met."""
+
+    travel: FloatArray
+    """(k, m) [m] or [rad]."""
+    distance: FloatArray
+    """Along the beam (k, m) [m]."""
+    where: IntArray
+    """:class:`Where` of the features (m,)."""
+
+
+class _Found:
+    """Features gathered column by column."""
+
+    def __init__(self, k: int) -> None:
+        self._k = k
+        self._travel: list[FloatArray] = []
+        self._distance: list[FloatArray] = []
+        self._where: list[int] = []
+
+    def add(
+        self,
+        where: Where,
+        travel: FloatArray,
+        distance: FloatArray | float,
+        met: BoolArray,
+        rows: IntArray | None = None,
+    ) -> None:
+        """A column for all triangles, or for some rows of them."""
+        travel = np.where(met, travel, np.inf)
+        if rows is not None:
+            column = np.full(self._k, np.inf)
+            column[rows] = travel
+            place = np.zeros(self._k)
+            place[rows] = distance
+            travel, distance = column, place
+        self._travel.append(travel)
+        self._distance.append(np.broadcast_to(np.asarray(distance, dtype=np.float64), (self._k,)))
+        self._where.append(int(where))
+
+    def gathered(self) -> Features:
+        return Features(
+            travel=np.stack(self._travel, axis=1),
+            distance=np.stack(self._distance, axis=1),
+            where=np.array(self._where, dtype=np.int64),
+        )
+
+
+def slide_features(
+    local: FloatArray, length: FloatArray, radius: float, along: FloatArray, ahead: FloatArray
+) -> Features:
+    """Features of triangles (k, 3, 3) for beams that move by (along, ahead) (k,) in X and Y per metre of travel."""
+    found = _Found(len(local))
+    X, Y, Z = local[..., 0], local[..., 1], local[..., 2]
+    moving = ahead > 0.0
+    speed = np.where(moving, ahead, 1.0)
+    for i in range(3):
+        _slide_edge(found, _EDGE_CODES[i], local[:, i], local[:, (i + 1) % 3], length, radius, along, ahead)
+        over = radius * radius - Z[:, i] ** 2
+        inside = Y[:, i] ** 2 <= over
+        travel = np.where(inside, 0.0, (Y[:, i] - np.sqrt(np.maximum(over, 0.0))) / speed)
+        place = X[:, i] - travel * along
+        met = (over >= 0.0) & (inside | (moving & (travel >= 0.0))) & _between(place, length)
+        found.add(_EDGE_CODES[i], travel, place, met)
+    way = np.stack([along, ahead, np.zeros(len(along))], axis=1)
+    # Only triangles that the ends can reach while the beam passes them are held against the ends.
+    early = np.clip((Y.min(axis=1) - radius) / speed, 0.0, None)
+    late = np.maximum((Y.max(axis=1) + radius) / speed, early)
+    shift = np.stack([early * along, late * along], axis=1)
+    low, high = X.min(axis=1) - shift.max(axis=1), X.max(axis=1) - shift.min(axis=1)
+    tip = np.nonzero(~moving | (high >= length - radius))[0]
+    base = np.nonzero(~moving | (low <= radius))[0]
+    for rows, where, place in ((tip, Where.TIP, length), (base, Where.BASE, np.zeros(len(length)))):
+        if len(rows):
+            centre = np.zeros((len(rows), 3))
+            centre[:, 0] = place[rows]
+            _slide_end(found, where, local[rows], centre, way[rows], radius, place[rows], rows)
+    _pierced(found, local, length)
+    return found.gathered()
+
+
+def _slide_edge(
+    found: _Found,
+    where: Where,
+    start: FloatArray,
+    stop: FloatArray,
+    length: FloatArray,
+    radius: float,
+    along: FloatArray,
+    ahead: FloatArray,
+) -> None:
+    """Axis and edge: seen along the beam, a point that moves towards a straight line."""
+    side = stop - start
+    square = side[:, 1] ** 2 + side[:, 2] ** 2
+    flat = np.sqrt(np.where(square > 0.0, square, 1.0))
+    gap = (start[:, 1] * side[:, 2] - start[:, 2] * side[:, 1]) / flat
+    rate = -ahead * side[:, 2] / flat
+    inside = np.abs(gap) <= radius
+    closing = gap * rate < 0.0
+    travel = np.where(inside, 0.0, (np.abs(gap) - radius) / np.where(closing, np.abs(rate), 1.0))
+    reach = travel * ahead
+    share = ((reach - start[:, 1]) * side[:, 1] - start[:, 2] * side[:, 2]) / (flat * flat)
+    place = start[:, 0] + share * side[:, 0] - travel * along
+    met = (inside | closing) & (square > 0.0) & _between(place, length) & _between(share, 1.0)
+    found.add(where, travel, place, met)
+
+
+def _slide_end(
+    found: _Found,
+    where: Where,
+    corners: FloatArray,
+    centre: FloatArray,
+    way: FloatArray,
+    radius: float,
+    place: FloatArray,
+    rows: IntArray,
+) -> None:
+    """A ball that moves straight against face, edges and vertices."""
+    normal = _unit_normal(corners)
+    gap = np.einsum("kj,kj->k", centre - corners[:, 0], normal)
+    rate = np.einsum("kj,kj->k", way, normal)
+    inside, closing = np.abs(gap) <= radius, gap * rate < 0.0
+    travel = np.where(inside, 0.0, (np.abs(gap) - radius) / np.where(closing, np.abs(rate), 1.0))
+    met = (inside | closing) & _over_face(corners, centre + travel[:, None] * way)
+    found.add(where, travel, place, met, rows)
+    for i in range(3):
+        start, side = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
+        square = np.einsum("kj,kj->k", side, side)
+        from_start = centre - start
+        travel, met = _ball_root(_square_to(from_start, side, square), _square_to(way, side, square), radius)
+        share = np.einsum("kj,kj->k", from_start + travel[:, None] * way, side) / square
+        found.add(where, travel, place, met & _between(share, 1.0), rows)
+        travel, met = _ball_root(from_start, way, radius)
+        found.add(where, travel, place, met, rows)
+
+
+def _ball_root(start: FloatArray, way: FloatArray, radius: float) -> tuple[FloatArray, BoolArray]:
+    """The travel at which |start + travel way| shrinks to the radius."""
+    a = np.einsum("kj,kj->k", way, way)
+    b = np.einsum("kj,kj->k", start, way)
+    c = np.einsum("kj,kj->k", start, start) - radius * radius
+    root = b * b - a * c
+    inside = c <= 0.0
+    met = inside | ((root >= 0.0) & (b < 0.0))
+    # c / (-b + root) instead of (-b - root) / a: no digits cancel.
+    below = -b + np.sqrt(np.maximum(root, 0.0))
+    return np.where(inside, 0.0, c / np.where(met & ~inside, below, 1.0)), met
+
+
+def turn_features(local: FloatArray, length: FloatArray, radius: float) -> Features:
+    """Features of triangles (k, 3, 3) for beams that turn about their bases, from X towards Y."""
+    found = _Found(len(local))
+    X, Y, Z = local[..., 0], local[..., 1], local[..., 2]
+    square = X * X + Y * Y
+    for i in range(3):
+        _turn_edge(found, _EDGE_CODES[i], local[:, i], local[:, (i + 1) % 3], length, radius)
+        inside = (Y[:, i] ** 2 + Z[:, i] ** 2 <= radius * radius) & _between(X[:, i], length)
+        # The foot of the vertex on the axis: x^2 = X^2 + Y^2 + Z^2 - r^2.
+        foot = square[:, i] + Z[:, i] ** 2 - radius * radius
+        place = np.sqrt(np.maximum(foot, 0.0))
+        across = np.sqrt(np.maximum(radius * radius - Z[:, i] ** 2, 0.0))
+        travel = np.mod(np.arctan2(Y[:, i], X[:, i]) - np.arctan2(across, place), 2.0 * np.pi)
+        met = (foot >= 0.0) & (np.abs(Z[:, i]) <= radius) & (place <= length)
+        found.add(
+            _EDGE_CODES[i], np.where(inside, 0.0, travel), np.where(inside, X[:, i], place), met | inside
+        )
+    far = np.nonzero(np.sqrt(square.max(axis=1)) >= length - radius)[0]
+    if len(far):
+        _turn_tip(found, local[far], length[far], radius, far)
+    about_base = (local.min(axis=1) <= radius) & (local.max(axis=1) >= -radius)
+    near = np.nonzero(about_base.all(axis=1))[0]
+    origin = np.zeros((len(near), 3))
+    still = np.zeros((len(near), 3))
+    _slide_end(found, Where.BASE, local[near], origin, still, radius, np.zeros(len(near)), near)
+    _pierced(found, local, length)
+    return found.gathered()
+
+
+def _turn_edge(
+    found: _Found, where: Where, start: FloatArray, stop: FloatArray, length: FloatArray, radius: float
+) -> None:
+    """Axis and edge: (P . (d x U))^2 = r^2 |d x U|^2, a sinusoid of twice the angle with one entry each half turn."""
+    side = stop - start
+    sine = start[:, 0] * side[:, 2] - start[:, 2] * side[:, 0]
+    cosine = start[:, 2] * side[:, 1] - start[:, 1] * side[:, 2]
+    total = np.einsum("kj,kj->k", side, side)
+    r2 = radius * radius
+    a = cosine**2 + r2 * side[:, 0] ** 2
+    b = sine**2 + r2 * side[:, 1] ** 2
+    c = sine * cosine + r2 * side[:, 0] * side[:, 1]
+    size = np.hypot(0.5 * (a - b), c)
+    level = r2 * total - 0.5 * (a + b)
+    crosses = np.abs(level) < size
+    turn = np.arctan2(c, 0.5 * (a - b)) + np.arccos(np.clip(level / np.where(size > 0.0, size, 1.0), -1.0, 1.0))
+    entry = np.mod(0.5 * turn, np.pi)
+    for travel, met in ((np.zeros(len(a)), a - r2 * total <= 0.0), (entry, crosses)):
+        co, si = np.cos(travel), np.sin(travel)
+        on_beam = co * start[:, 0] + si * start[:, 1]
+        lean = co * side[:, 0] + si * side[:, 1]
+        square = total - lean * lean
+        skew = square > 1e-18 * total
+        share = (on_beam * lean - np.einsum("kj,kj->k", start, side)) / np.where(skew, square, 1.0)
+        place = on_beam + share * lean
+        found.add(where, travel, place, met & skew & _between(place, length) & _between(share, 1.0))
+
+
+def _turn_tip(found: _Found, corners: FloatArray, length: FloatArray, radius: float, rows: IntArray) -> None:
+    normal = _unit_normal(corners)
+    plane = np.einsum("kj,kj->k", corners[:, 0], normal)
+    size = length * np.hypot(normal[:, 0], normal[:, 1])
+    phase = np.arctan2(normal[:, 1], normal[:, 0])
+    safe = np.where(size > 0.0, size, 1.0)
+    for sign in (1.0, -1.0):  # entering the slab about the face from above, and from below
+        level = (plane + sign * radius) / safe
+        travel = np.mod(phase + sign * np.arccos(np.clip(level, -1.0, 1.0)), 2.0 * np.pi)
+        met = (np.abs(level) <= 1.0) & (size > 0.0) & _over_face(corners, _tip(travel, length))
+        found.add(Where.TIP, travel, length, met, rows)
+    at_start = _tip(np.zeros(len(length)), length)
+    still = np.zeros_like(at_start)
+    _slide_end(found, Where.TIP, corners, at_start, still, radius, length, rows)
+    for i in range(3):
+        start, side = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
+        # |tip - P|^2 = r^2: L^2 + P^2 - r^2 = 2 L (cos X + sin Y), entered from below the phase.
+        reach = 2.0 * length * np.hypot(start[:, 0], start[:, 1])
+        level = length**2 + np.einsum("kj,kj->k", start, start) - radius * radius
+        met = level <= reach
+        angle = np.arccos(np.clip(level / np.where(reach > 0.0, reach, 1.0), -1.0, 1.0))
+        travel = np.mod(np.arctan2(start[:, 1], start[:, 0]) - angle, 2.0 * np.pi)
+        found.add(Where.TIP, travel, length, met, rows)
+        _turn_tip_edge(found, start, side, length, radius, rows)
+
+
+def _turn_tip_edge(
+    found: _Found, start: FloatArray, side: FloatArray, length: FloatArray, radius: float, rows: IntArray
+) -> None:
+    """Tip and edge: the first angle at which h = |tip - P|^2 - ((tip - P) . u)^2 - r^2 falls to zero on the edge.
+
+    h is a trigonometric polynomial of second degree, so |h''| <= M. No root lies before the root of
+    |h| + |h|' x - M x^2 / 2: steps to it never pass a root and converge quadratically. Entries beside the edge's
+    ends, and what is inside the tube about its line, are walked through.
+    """
+    square = np.einsum("kj,kj->k", side, side)
+    u = side / np.sqrt(square)[:, None]
+    p = np.einsum("kj,kj->k", start, u)
+    level = length**2 + np.einsum("kj,kj->k", start, start) - radius * radius
+    lean = length * np.hypot(u[:, 0], u[:, 1])
+    bend = 2.0 * length * np.hypot(start[:, 0], start[:, 1]) + 4.0 * lean**2 + 2.0 * np.abs(p) * lean
+    tiny = 1e-14 * length**2
+    angle = np.zeros(len(p))
+    met = np.zeros(len(p), dtype=np.bool_)
+    for _ in range(ROOT_STEPS):
+        co, si = np.cos(angle), np.sin(angle)
+        q = length * (co * u[:, 0] + si * u[:, 1]) - p
+        h = level - 2.0 * length * (co * start[:, 0] + si * start[:, 1]) - q * q
+        dq = length * (co * u[:, 1] - si * u[:, 0])
+        slope = 2.0 * length * (si * start[:, 0] - co * start[:, 1]) - 2.0 * q * dq
+        entry = (np.abs(h) <= tiny) & (slope <= 0.0)
+        met |= entry & _between(q * np.sqrt(1.0 / square), 1.0) & (angle > 0.0)
+        running = ~met & (angle < np.pi)
+        if not running.any():
+            break
+        size, rise = np.abs(h), np.where(h < 0.0, -slope, slope)
+        step = 2.0 * size / np.maximum(np.sqrt(rise**2 + 2.0 * bend * size) - rise, 1e-300)
+        step = np.where((h <= tiny) | entry, np.maximum(step, ROOT_PUSH), step)
+        angle = np.where(running, angle + np.minimum(step, np.pi), angle)
+    found.add(Where.TIP, angle, length, met, rows)
+
+
+def _tip(angle: FloatArray, length: FloatArray) -> FloatArray:
+    return np.stack([length * np.cos(angle), length * np.sin(angle), np.zeros(len(angle))], axis=1)
+
+
+def _pierced(found: _Found, local: FloatArray, length: FloatArray) -> None:
+    """Axes that pass through a triangle where they stand, far from its edges."""
+    above = local[..., 2] >= 0.0
+    rows = np.nonzero(above.any(axis=1) & ~above.all(axis=1))[0]
+    xa, ya, xb, yb, _, _ = plane_segments(local[rows])
+    drop = ya - yb
+    place = xa + ya / np.where(drop != 0.0, drop, 1.0) * (xb - xa)
+    met = (np.minimum(ya, yb) <= 0.0) & (np.maximum(ya, yb) >= 0.0) & (place >= 0.0) & (place <= length[rows])
+    found.add(Where.THROUGH, np.zeros(len(rows)), place, met, rows)
+
+
+def _between(values: FloatArray, top: FloatArray | float) -> BoolArray:
+    return (values >= -ON_FEATURE) & (values <= top + ON_FEATURE)
+
+
+def _square_to(vectors: FloatArray, side: FloatArray, square: FloatArray) -> FloatArray:
+    return np.asarray(vectors - (np.einsum("kj,kj->k", vectors, side) / square)[:, None] * side)
+
+
+def _unit_normal(corners: FloatArray) -> FloatArray:
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(normal / np.linalg.norm(normal, axis=1)[:, None])
+
+
+def _over_face(corners: FloatArray, point: FloatArray) -> BoolArray:
+    """Whether points (k, 3) lie over the inside of their triangles."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    offset = corners - point[:, None]
+    parts = np.einsum("kcj,kj->kc", np.cross(offset[:, [1, 2, 0]], offset[:, [2, 0, 1]]), normal)
+    return np.asarray((parts >= -ON_FEATURE * np.einsum("kj,kj->k", normal, normal)[:, None]).all(axis=1))

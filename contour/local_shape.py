@@ -1,0 +1,395 @@
+"""What the surface is like where a beam touches it: normal, kind of contact, curvature along and across.
+
+Between creases the mesh stands for the smooth surface it samples, on creases for the crease. Directions at a side
+contact: d along the beam, n the normal square to it, t = d x n across. Seen along d the body has a silhouette in the
+plane of n and t; with the shape operator [[a, b], [b, c]] in (d, t) its curvature is c - b^2 / a, not c.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contour.curvature import SmoothSurface
+from contour.first_contact import Touches
+from contour.motions import Motions
+from contour.sweep import Where
+from contour.topology import Topology
+
+__all__ = ["FirstContact", "TouchKind", "describe"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+LINE = 1e-3
+"""A beam that touches along more than this touches along a line [m]."""
+LINE_SAG = 1e-6
+"""Unless the smooth surface bends away by more than this over that length: then it is a facet's width [m]."""
+PARALLEL = 0.02
+"""A crease within this angle of the beam is a corner of the silhouette [rad]."""
+NEARLY_PARALLEL = 1e-6
+"""Within this one the crease no longer tells which way it faces [rad]."""
+FLAT = 0.1
+"""Curvatures along the beam below this do not tell the silhouette from the section [1/m]."""
+
+
+class TouchKind(IntEnum):
+    """What touches what."""
+
+    NONE = -1
+    """Nothing was met."""
+    SIDE = 0
+    """The beam's side and a smooth part of the surface."""
+    EDGE = 1
+    """The beam's side and a crease, or the near end of a line contact."""
+    TIP = 2
+    """The beam's end and a face."""
+    BASE = 4
+    """The root of the beam: the carrier runs into the body."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FirstContact:
+    """First contacts of n beams. Rows without one have ``hit`` False, kind NONE, indices -1 and zeros."""
+
+    hit: BoolArray
+    """Whether anything was met (n,)."""
+    travel: FloatArray
+    """Way to the touch, or the whole motion where nothing was met (n,) [m] or [rad]."""
+    point: FloatArray
+    """On the surface (n, 3) [m]."""
+    distance: FloatArray
+    """s along the beam's axis from its base (n,) [m]."""
+    kind: NDArray[np.int8]
+    """:class:`TouchKind` (n,)."""
+    face: IntArray
+    """(n,)."""
+    body: IntArray
+    """(n,)."""
+    normal: FloatArray
+    """Unit, facing the beam (n, 3); square to the beam but for TIP and BASE."""
+    normal_smooth: FloatArray
+    """Unit, of the smooth surface itself, facing the beam (n, 3); on a crease equal to ``normal``."""
+    direction: FloatArray
+    """The beam's direction at the touch (n, 3)."""
+    curvature_along: FloatArray
+    """Of the surface along the beam, positive where it bends away from it (n,) [1/m]; inf across a crease."""
+    curvature_across: FloatArray
+    """Of the silhouette seen along the beam (n,) [1/m]; inf where a crease runs along the beam."""
+    lift: FloatArray
+    """How far the smooth surface stands above the mesh along the normal (n,) [m]; 0 but for SIDE."""
+    edge_direction: FloatArray
+    """Unit, along the touched crease (n, 3); zero where there is none."""
+    edge_interval: FloatArray
+    """Offsets along t = direction x normal at which the crease's segment ends, the lesser first (n, 2) [m]."""
+    dihedral: FloatArray
+    """Angle between the two sides of the crease (n,) [rad], pi at the rim of a sheet; 0 where there is none."""
+    touching: BoolArray
+    """Whether the beam touched where it stood, before any motion (n,)."""
+    line: BoolArray
+    """Whether it touches along a line (n,); the contact is then its end nearest the base."""
+
+
+@dataclass(slots=True)
+class _Rows:
+    """The touched rows while they are described; k of them."""
+
+    index: IntArray
+    face: IntArray
+    where: IntArray
+    line: BoolArray
+    axis: FloatArray  # contact on the beam's axis (k, 3), recentred
+    distance: FloatArray
+    along: FloatArray  # d
+    motion: FloatArray  # the way the beam moves at the contact
+    radius: float
+
+
+def describe(
+    topology: Topology,
+    surface: SmoothSurface,
+    body: IntArray,
+    motions: Motions,
+    touches: Touches,
+    centre: FloatArray,
+    radius: float,
+) -> FirstContact:
+    """The contacts at which first touches happen.
+
+    Args:
+        topology: of the mesh, recentred.
+        surface: the smooth surface it stands for.
+        body: body of each face (f,).
+        motions: of the beams, recentred.
+        touches: their first touches.
+        centre: what was subtracted from world coordinates (3,) [m].
+        radius: of the beam [m].
+    """
+    n = len(touches.travel)
+    contact = _blank(n, np.where(np.isfinite(touches.travel), touches.travel, motions.limit))
+    contact.hit[:] = np.isfinite(touches.travel)
+    contact.touching[:] = touches.travel == 0.0
+    rows = _rows(topology, surface, motions, touches, radius)
+    if not len(rows.index):
+        return contact
+    at = rows.index
+    barycentric = _barycentric(topology.vertices[topology.corners[rows.face]], rows.axis, radius)
+    point = np.einsum("kc,kcj->kj", barycentric, topology.vertices[topology.corners[rows.face]])
+    edge = _edges(topology, rows, barycentric)
+    crease = (edge >= 0) & topology.sharp[edge]
+    normal, smooth = _normals(topology, surface, rows, barycentric, edge, crease, point)
+    contact.point[at] = point + centre if radius > 0.0 else rows.axis + centre
+    contact.distance[at] = rows.distance
+    contact.face[at], contact.body[at] = rows.face, body[rows.face]
+    contact.direction[at], contact.normal[at], contact.normal_smooth[at] = rows.along, normal, smooth
+    contact.line[at] = rows.line
+    ends = (rows.where == Where.TIP) | (rows.where == Where.BASE)
+    kind = np.where(crease | rows.line, TouchKind.EDGE, TouchKind.SIDE)
+    kind = np.where(rows.where == Where.TIP, TouchKind.TIP, kind)
+    contact.kind[at] = np.where(rows.where == Where.BASE, TouchKind.BASE, kind)
+    _curvatures(contact, topology, surface, rows, barycentric, point, edge, crease & ~ends)
+    _creases(contact, topology, at, point, edge, crease & ~ends)
+    return contact
+
+
+def _blank(n: int, travel: FloatArray) -> FirstContact:
+    return FirstContact(
+        hit=np.zeros(n, dtype=np.bool_),
+        travel=travel,
+        point=np.zeros((n, 3)),
+        distance=np.zeros(n),
+        kind=np.full(n, TouchKind.NONE, dtype=np.int8),
+        face=np.full(n, -1, dtype=np.int64),
+        body=np.full(n, -1, dtype=np.int64),
+        normal=np.zeros((n, 3)),
+        normal_smooth=np.zeros((n, 3)),
+        direction=np.zeros((n, 3)),
+        curvature_along=np.zeros(n),
+        curvature_across=np.zeros(n),
+        lift=np.zeros(n),
+        edge_direction=np.zeros((n, 3)),
+        edge_interval=np.zeros((n, 2)),
+        dihedral=np.zeros(n),
+        touching=np.zeros(n, dtype=np.bool_),
+        line=np.zeros(n, dtype=np.bool_),
+    )
+
+
+def _rows(
+    topology: Topology, surface: SmoothSurface, motions: Motions, touches: Touches, radius: float
+) -> _Rows:
+    index = np.nonzero(np.isfinite(touches.travel))[0]
+    base, along, motion = motions.rows(index).moved(touches.travel[index])
+    face, distance = touches.face[index], touches.distance[index]
+    span = touches.far[index] - touches.near[index]
+    # On a smooth surface a facet that happens to lie along the beam is no line: its surface is bent.
+    third = np.full((len(index), 3), 1.0 / 3.0)
+    bend = np.einsum("ki,kij,kj->k", along, surface.shape_operator(face, third), along)
+    line = (span > LINE) & (np.abs(bend) * span**2 / 8.0 < LINE_SAG) & (touches.where[index] < Where.THROUGH)
+    distance = np.where(line, touches.near[index], distance)
+    return _Rows(
+        index=index,
+        face=np.where(line, touches.near_face[index], face),
+        where=touches.where[index],
+        line=line,
+        axis=base + distance[:, None] * along,
+        distance=distance,
+        along=along,
+        motion=motion,
+        radius=radius,
+    )
+
+
+def _barycentric(corners: FloatArray, point: FloatArray, radius: float) -> FloatArray:
+    """Of the place on each triangle (k, 3, 3) that is nearest to the point (k, 3)."""
+    if radius > 0.0:
+        return closest_barycentric(corners, point)
+    # The point lies on the triangle but for rounding.
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    from_point = corners - point[:, None]
+    parts = np.cross(from_point[:, [1, 2, 0]], from_point[:, [2, 0, 1]])
+    weights = np.maximum(np.einsum("kcj,kj->kc", parts, normal), 0.0)
+    return np.asarray(weights / weights.sum(axis=1)[:, None])
+
+
+def closest_barycentric(corners: FloatArray, point: FloatArray) -> FloatArray:
+    """Barycentric coordinates (k, 3) of the place on each triangle (k, 3, 3) nearest to its point (k, 3)."""
+    k = len(point)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    from_point = corners - point[:, None]
+    weights = np.einsum("kcj,kj->kc", np.cross(from_point[:, [1, 2, 0]], from_point[:, [2, 0, 1]]), normal)
+    best = weights / weights.sum(axis=1)[:, None]
+    outside = (weights < 0.0).any(axis=1)
+    gap = np.where(outside, np.inf, -1.0)
+    for i in range(3):
+        start, side = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
+        share = np.einsum("kj,kj->k", point - start, side) / np.einsum("kj,kj->k", side, side)
+        share = np.clip(share, 0.0, 1.0)
+        distance = np.linalg.norm(start + share[:, None] * side - point, axis=1)
+        nearer = np.nonzero(distance < gap)[0]
+        gap[nearer] = distance[nearer]
+        best[nearer] = 0.0
+        best[nearer, i] = 1.0 - share[nearer]
+        best[nearer, (i + 1) % 3] = share[nearer]
+    assert best.shape == (k, 3)
+    return np.asarray(best)
+
+
+def _edges(topology: Topology, rows: _Rows, barycentric: FloatArray) -> IntArray:
+    """The mesh edge that is touched (k,), -1 inside a face."""
+    opposite = np.argmin(barycentric, axis=1)
+    k = np.arange(len(opposite))
+    # At the near end of a line any edge may end it; the one the point lies on does.
+    ended = rows.line & (barycentric[k, opposite] < 1e-6)
+    local = np.where(ended, (opposite + 1) % 3, np.where(rows.line, -1, rows.where))
+    edge = np.where((local >= 0) & (local < 3), topology.face_edges[rows.face, np.clip(local, 0, 2)], -1)
+    # At a vertex the crease through it is what is felt, whichever edge was met first.
+    at_vertex = (np.sort(barycentric, axis=1)[:, 1] < 1e-9) & (edge >= 0)
+    crease = topology.crease_at[topology.corners[rows.face, np.argmax(barycentric, axis=1)]]
+    return np.where(at_vertex & ~topology.sharp[edge] & (crease >= 0), crease, edge)
+
+
+def _normals(
+    topology: Topology,
+    surface: SmoothSurface,
+    rows: _Rows,
+    barycentric: FloatArray,
+    edge: IntArray,
+    crease: BoolArray,
+    point: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """The contact normal and the smooth surface's, both facing the beam (k, 3)."""
+    smooth = surface.normal(rows.face, barycentric)
+    ends = topology.vertices[topology.edge_vertices[edge]]
+    side = _unit(ends[:, 1] - ends[:, 0])
+    across = np.cross(side, rows.along)
+    sine = np.linalg.norm(across, axis=1)
+    told = (edge >= 0) & (sine > NEARLY_PARALLEL)
+    facing = np.where(told[:, None], across / np.where(told, sine, 1.0)[:, None], topology.normals[rows.face])
+    away = np.einsum("kj,kj->k", facing, rows.motion)
+    facing = np.where((away > 0.0)[:, None], -facing, facing)
+    if rows.radius > 0.0:
+        gap = rows.axis - point
+        apart = np.linalg.norm(gap, axis=1)
+        clear = apart > 0.5 * rows.radius  # less only for beams that stand inside the surface from the start
+        facing = np.where(clear[:, None], gap / np.where(clear, apart, 1.0)[:, None], facing)
+    turned = np.einsum("kj,kj->k", smooth, facing) < 0.0
+    smooth = np.where(turned[:, None], -smooth, smooth)
+    if rows.radius <= 0.0:
+        corner = crease & ~told
+        facing = np.where(corner[:, None], _corner_normal(topology, rows, edge), facing)
+    by_end = (rows.where == Where.TIP) | (rows.where == Where.BASE)
+    smooth = np.where(crease[:, None] & ~by_end[:, None], facing, smooth)
+    normal = smooth - np.einsum("kj,kj->k", smooth, rows.along)[:, None] * rows.along
+    length = np.linalg.norm(normal, axis=1)
+    # A beam that pierces a face head on has no normal square to it but the way it came.
+    lost = length < NEARLY_PARALLEL
+    normal = np.where(lost[:, None], -rows.motion, normal / np.where(lost, 1.0, length)[:, None])
+    return np.where(by_end[:, None], smooth, normal), smooth
+
+
+def _corner_normal(topology: Topology, rows: _Rows, edge: IntArray) -> FloatArray:
+    """For creases along the beam: against the motion, but no further round than the crease's two sides face."""
+    faces = topology.edge_faces[edge]
+    faces = np.where(faces >= 0, faces, faces[:, :1])
+    sides = topology.normals[faces]
+    back = -rows.motion
+    flip = np.einsum("kcj,kj->k", sides, back) < 0.0
+    sides = np.where(flip[:, None, None], -sides, sides)
+    back = _unit(back - np.einsum("kj,kj->k", back, rows.along)[:, None] * rows.along)
+    turn = np.cross(rows.along, back)
+    angle = np.arctan2(np.einsum("kcj,kj->kc", sides, turn), np.einsum("kcj,kj->kc", sides, back))
+    nearest = np.clip(0.0, angle.min(axis=1), angle.max(axis=1))
+    return np.asarray(np.cos(nearest)[:, None] * back + np.sin(nearest)[:, None] * turn)
+
+
+def _curvatures(
+    contact: FirstContact,
+    topology: Topology,
+    surface: SmoothSurface,
+    rows: _Rows,
+    barycentric: FloatArray,
+    point: FloatArray,
+    edge: IntArray,
+    crease: BoolArray,
+) -> None:
+    at = rows.index
+    normal, smooth = contact.normal[at], contact.normal_smooth[at]
+    by_end = np.isin(contact.kind[at], [TouchKind.TIP, TouchKind.BASE])
+    # An end's normal is not square to the beam: take the directions along and across within the surface.
+    first = rows.along - np.where(by_end, np.einsum("kj,kj->k", rows.along, normal), 0.0)[:, None] * normal
+    head_on = np.linalg.norm(first, axis=1) < NEARLY_PARALLEL
+    first[head_on] = np.cross(normal[head_on], np.eye(3)[np.argmin(np.abs(normal[head_on]), axis=1)])
+    first = _unit(first)
+    second = np.cross(first, normal)
+    shape = surface.shape_operator(rows.face, barycentric)
+    raw = surface.normal(rows.face, barycentric)
+    sign = np.where(np.einsum("kj,kj->k", raw, normal) < 0.0, -1.0, 1.0)
+    shape = shape * sign[:, None, None]
+    a = np.einsum("ki,kij,kj->k", first, shape, first)
+    b = np.einsum("ki,kij,kj->k", first, shape, second)
+    c = np.einsum("ki,kij,kj->k", second, shape, second)
+    across = np.where(by_end, c, c - b * b * a / (a * a + FLAT * FLAT))
+    contact.lift[at] = np.where(crease | by_end | rows.line, 0.0, _lift(topology, rows, point, edge, shape, normal, smooth, a))
+    start, stop = topology.vertices[topology.edge_vertices[edge]].transpose(1, 0, 2)
+    side = _unit(stop - start)
+    cosine = np.einsum("kj,kj->k", side, rows.along)
+    square = np.maximum(1.0 - cosine**2, PARALLEL**2)
+    share = _share(point, start, stop)
+    curve = topology.curve[topology.edge_vertices[edge]]
+    bend = (1.0 - share)[:, None] * curve[:, 0] + share[:, None] * curve[:, 1]
+    turn = -np.einsum("kj,kj->k", bend, normal)
+    along_beam = np.abs(cosine) > np.cos(PARALLEL)
+    contact.curvature_along[at] = np.where(
+        crease & along_beam, turn, np.where(crease | rows.line, np.inf, a)
+    )
+    contact.curvature_across[at] = np.where(
+        crease, np.where(along_beam, np.inf, turn / square), across
+    )
+
+
+def _lift(
+    topology: Topology,
+    rows: _Rows,
+    point: FloatArray,
+    edge: IntArray,
+    shape: FloatArray,
+    normal: FloatArray,
+    smooth: FloatArray,
+    along: FloatArray,
+) -> FloatArray:
+    """Height of the smooth surface above the mesh: sag of the touched edge, and the way up to the summit."""
+    ends = topology.vertices[topology.edge_vertices[edge]]
+    side = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(side, axis=1)
+    share = _share(point, ends[:, 0], ends[:, 1])
+    sag = 0.5 * share * (1.0 - share) * np.einsum("ki,kij,kj->k", side, shape, side)
+    slope = np.abs(np.einsum("kj,kj->k", smooth, rows.along)) / np.einsum("kj,kj->k", smooth, normal)
+    # The summit along the beam is where the surface turns level, but not farther than the neighbouring facet.
+    step = np.minimum(slope / np.maximum(along, FLAT), length)
+    return np.where(edge >= 0, sag + slope * step - 0.5 * along * step**2, 0.0)
+
+
+def _share(point: FloatArray, start: FloatArray, stop: FloatArray) -> FloatArray:
+    side = stop - start
+    share = np.einsum("kj,kj->k", point - start, side) / np.einsum("kj,kj->k", side, side)
+    return np.clip(share, 0.0, 1.0)
+
+
+def _creases(
+    contact: FirstContact, topology: Topology, at: IntArray, point: FloatArray, edge: IntArray, crease: BoolArray
+) -> None:
+    at, point, edge = at[crease], point[crease], edge[crease]
+    ends = topology.vertices[topology.edge_vertices[edge]]
+    contact.edge_direction[at] = _unit(ends[:, 1] - ends[:, 0])
+    contact.dihedral[at] = topology.dihedral[edge]
+    across = np.cross(contact.direction[at], contact.normal[at])
+    contact.edge_interval[at] = np.sort(np.einsum("kej,kj->ke", ends - point[:, None], across), axis=1)
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
