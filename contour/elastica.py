@@ -1,19 +1,112 @@
-"""exact"""
-from contour.contact import _rows, LEAST_ANGLE, refine, SHARPEST
+"""The geometrically exact rung of the forward model, for reference and for the few contacts that need it.
+
+Inextensible, isotropic, three-dimensional rod on a doubly curved body, Coulomb friction with sticking, quasi-static
+and incremental, both strokes; the mechanics are in contour.rod and contour.planar_elastica. Same signatures, units
+and signs as contour.contact; the answers also say where the solution did not converge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
 import numpy as np
-from contour.slip import ArcProfile, follow
+from numpy.typing import ArrayLike, NDArray
+
+from contour.response import (
+    CycleResponse,
+    PushRequest,
+    PushResponse,
+    as_asked,
+    compliance_ratio,
+    refine,
+    request,
+)
 from contour.rod import follow_rod
-from types import SimpleNamespace
-def push_cycle(eps, thetas, *, distance, friction, radius_along, radius_across, steps=8):
-    angles, scale, (eps_row, mu, along, across) = _rows(eps, thetas, distance, friction, radius_along, radius_across)
-    shape = angles.shape
-    angles = np.maximum(angles.reshape(-1, shape[-1]).T, 1e-4)
-    path_angles, wanted = refine(angles, steps)
-    profile = ArcProfile(1.0 / np.where(np.abs(across)<SHARPEST, SHARPEST, across))
-    red = follow(eps_row, path_angles, mu, profile)
-    p = follow_rod(eps_row, path_angles, mu, along, profile, red)
-    tk=lambda v: v[wanted].T.reshape(shape)
-    return SimpleNamespace(delta=tk(p.delta), moment_angle=tk(p.moment_angle), slide=tk(p.slide)*scale[...,None], arc_length=tk(p.arc_length)*scale[...,None], slipped_off=tk(p.slipped_off), converged=tk(p.converged))
-def push_response(eps, theta, **k):
-    c=push_cycle(eps, np.asarray(theta)[...,None], **k)
-    return SimpleNamespace(delta=c.delta[...,0],compliance_ratio=theta/c.moment_angle[...,0],slide=c.slide[...,0],arc_length=c.arc_length[...,0],slipped_off=c.slipped_off[...,0],converged=c.converged[...,0])
+from contour.slip import ArcProfile, Profile, follow
+
+__all__ = ["RodCycleResponse", "RodPushResponse", "push_cycle", "push_response"]
+
+BoolArray = NDArray[np.bool_]
+
+STEPS_OUT = 16
+"""Steps a push out is followed in, at least; twice as many move delta by 0.01 deg rms on the way back."""
+LEAST_ANGLE = 1e-4
+"""A push is never followed at less than this angle [rad]: its slips drown in rounding."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RodPushResponse(PushResponse):
+    """A push response that says whether it is one."""
+
+    converged: BoolArray
+    """All equations hold; False where the iteration gave up, and the fields are then those of the last contact."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RodCycleResponse(CycleResponse):
+    """A cycle response that says how far it is one."""
+
+    converged: BoolArray
+    """All equations hold up to here; False where the iteration gave up, fields then those of the last contact."""
+
+
+def push_response(
+    eps: ArrayLike,
+    theta: ArrayLike,
+    *,
+    distance: ArrayLike,
+    friction: ArrayLike,
+    radius_along: ArrayLike,
+    radius_across: ArrayLike,
+) -> RodPushResponse:
+    """Exact :func:`contour.contact.push_response`.
+
+    >>> push = push_response(0.0, 0.1, distance=0.1, friction=0.0, radius_along=0.0, radius_across=np.inf)
+    >>> round(float(push.compliance_ratio), 4), bool(push.converged)
+    (1.0024, True)
+    """
+    cycle = push_cycle(
+        eps,
+        np.asarray(theta, dtype=np.float64)[..., None],
+        distance=distance,
+        friction=friction,
+        radius_along=radius_along,
+        radius_across=radius_across,
+    )
+    return RodPushResponse(
+        delta=cycle.delta[..., 0],
+        compliance_ratio=compliance_ratio(theta, cycle.moment_angle, LEAST_ANGLE),
+        slipped_off=cycle.slipped_off[..., 0],
+        slide=cycle.slide[..., 0],
+        arc_length=cycle.arc_length[..., 0],
+        converged=cycle.converged[..., 0],
+    )
+
+
+def push_cycle(
+    eps: ArrayLike,
+    thetas: ArrayLike,
+    *,
+    distance: ArrayLike,
+    friction: ArrayLike,
+    radius_along: ArrayLike,
+    radius_across: ArrayLike,
+) -> RodCycleResponse:
+    """Exact :func:`contour.contact.push_cycle`."""
+    asked = request(eps, thetas, distance, friction, radius_along, radius_across, least=LEAST_ANGLE)
+    return _answer(asked, ArcProfile(asked.bend))
+
+
+def _answer(asked: PushRequest, profile: Profile) -> RodCycleResponse:
+    path_angles, wanted = refine(asked.angles, STEPS_OUT)
+    reduced = follow(asked.eps, path_angles, asked.friction, profile)
+    path = follow_rod(asked.eps, path_angles, asked.friction, asked.along, profile, reduced)
+    scale = asked.distance[..., None]
+    return RodCycleResponse(
+        delta=as_asked(asked, wanted, path.delta),
+        moment_angle=as_asked(asked, wanted, path.moment_angle),
+        slipped_off=as_asked(asked, wanted, path.slipped_off),
+        slide=as_asked(asked, wanted, path.slide) * scale,
+        arc_length=as_asked(asked, wanted, path.arc_length) * scale,
+        converged=as_asked(asked, wanted, path.converged),
+    )

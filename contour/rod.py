@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contour.planar_elastica import base_curvature, shape
-from contour.slip import Path, Profile
+from contour.slip import Path, Profile, pace
 
 __all__ = ["RodPath", "follow_rod"]
 
@@ -36,12 +36,22 @@ TOLERANCE = 1e-6
 """Newton steps below this, in theta or rad, are the last: the next would be 1e-4 of it or less."""
 DIFFERENCE = 1e-5
 """Differences of the Jacobian, in theta or rad: truncation 1e-5, rounding 1e-8 for theta of 1 mrad."""
+SPLIT = 8
+"""Parts in which a step that does not settle is taken."""
+MAX_LEAN = 1.4
+"""Lean of the contact's normal out of the sensing plane beyond which the rod has left the body [rad]."""
+ROUND = 0.7
+"""Cosine of the turn along the profile from which on a contact that cannot be found has left the body."""
 LONGEST = 0.5
 """No Newton step is longer, in theta or rad."""
 LEAST_GRIP = 1e-9
 """Friction angles [rad] below this are taken as this: no force can tell."""
 SECULAR_STEPS = 6
 """Newton steps on the amount of slip."""
+
+
+Angles = tuple[FloatArray, FloatArray, FloatArray]
+"""theta at the end of a step, the step, and the step before [rad]."""
 
 
 class Contact(NamedTuple):
@@ -53,11 +63,17 @@ class Contact(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What friction remembers of the last step: b, zeta and l."""
+    """What friction remembers: the last b, zeta and l, and the slip that counts as made already.
+
+    Where a stroke goes on, this is w^2/(1 + 2w) of the slip of the step before, w being the ratio of the steps: then
+    the direction of what is left is that of the rate of slip at the end of the step, to second order.
+    """
 
     b: FloatArray
     zeta: FloatArray
     length: FloatArray
+    slip_lat: FloatArray
+    slip_lon: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,6 +94,18 @@ class RodPath:
     """The contact has left the body; the values are those of the last contact."""
     converged: BoolArray
     """All equations hold to tolerance up to here."""
+
+
+class Hint(NamedTuple):
+    """What the reduced rod says of a step's end."""
+
+    b: FloatArray
+    along: FloatArray
+    slipped: BoolArray
+
+    def rows(self, index: NDArray[np.int64]) -> Hint:
+        """The same for a selection."""
+        return Hint(self.b[index], self.along[index], self.slipped[index])
 
 
 class Body(NamedTuple):
@@ -108,10 +136,14 @@ class Pose(NamedTuple):
 
     gap: FloatArray
     """What the rod's end misses P by, across the base tangent, relative to theta."""
-    slip: tuple[FloatArray, FloatArray]
-    """Slip of the rod's material point since the last step, along e_a and e_zeta."""
-    force: tuple[FloatArray, FloatArray]
-    """Components along e_a and e_zeta of the unit force on the rod."""
+    slip_lat: FloatArray
+    """Slip of the rod's material point since the last step along e_a."""
+    slip_lon: FloatArray
+    """The same along e_zeta."""
+    force_lat: FloatArray
+    """Component along e_a of the unit force on the rod."""
+    force_lon: FloatArray
+    """The same along e_zeta."""
     force_n: FloatArray
     length: FloatArray
     bend: FloatArray
@@ -153,19 +185,19 @@ def _pose(body: Body, theta: FloatArray, c: Contact, before: Memory, *, full: bo
     across = body.sin_eps * p_n - body.cos_eps * p_t
     return Pose(
         gap=(aside - scale * rod.aside) / theta,
-        slip=(slip_lat, slip_lon),
-        force=(force_lat, force_lon),
+        slip_lat=slip_lat - before.slip_lat,
+        slip_lon=slip_lon - before.slip_lon,
+        force_lat=force_lat,
+        force_lon=force_lon,
         force_n=force_n,
         length=length,
         bend=bend,
-        root_force=np.sqrt(2.0 * bend) / scale,
+        root_force=np.sqrt(2.0 * np.maximum(bend, 0.0)) / scale,
         delta=np.pi + np.arctan2(across, sine * p_y - cosine * towards) if full else aside,
     )
 
 
-def _newton(
-    body: Body, theta: FloatArray, c: Contact, before: Memory
-) -> tuple[Contact, FloatArray]:
+def _newton(body: Body, theta: FloatArray, c: Contact, before: Memory) -> tuple[Contact, FloatArray]:
     """A better contact, and how far it moved: shares of theta for b and zeta, radians for eta.
 
     Geometry and elastica are smooth in the unknowns and are linearised (Jacobian by differences); Coulomb's law is
@@ -185,24 +217,32 @@ def _newton(
         full=False,
     )
     steps = (h, h, np.full_like(h, DIFFERENCE))
-    here = [v[0] for v in (p.gap, *p.slip, *p.force)]
-    column = [[(v[j] - v[0]) / steps[j - 1] for v in (p.gap, *p.slip, *p.force)] for j in (1, 2, 3)]
+    values = (p.gap, p.slip_lat, p.slip_lon, p.force_lat, p.force_lon)
+    here = [v[0] for v in values]
+    column = [[(v[j] - v[0]) / steps[j - 1] for v in values] for j in (1, 2, 3)]
     # Rows of the inverse of d(gap, slips)/d(b, zeta, eta).
     cross = [_cross(column[1], column[2]), _cross(column[2], column[0]), _cross(column[0], column[1])]
     det = column[0][0] * cross[0][0] + column[0][1] * cross[0][1] + column[0][2] * cross[0][2]
     inverse = [[v / det for v in row] for row in cross]
     # Force as a linear function of the slips where the gap is closed.
     stiff = [[sum(column[i][3 + f] * inverse[i][g] for i in range(3)) for g in range(3)] for f in range(2)]
-    force = [here[3 + f] - stiff[f][0] * here[0] - stiff[f][1] * here[1] - stiff[f][2] * here[2] for f in range(2)]
+    force = [
+        here[3 + f] - stiff[f][0] * here[0] - stiff[f][1] * here[1] - stiff[f][2] * here[2] for f in range(2)
+    ]
     slip = _coulomb(
-        (stiff[0][1], stiff[0][2], stiff[1][1], stiff[1][2]), (force[0], force[1]), body.grip, (here[1], here[2])
+        (stiff[0][1], stiff[0][2], stiff[1][1], stiff[1][2]),
+        (force[0], force[1]),
+        body.grip,
+        (here[1], here[2]),
     )
     target = (-here[0], slip[0] - here[1], slip[1] - here[2])
     move = [row[0] * target[0] + row[1] * target[1] + row[2] * target[2] for row in inverse]
     far = np.maximum(np.maximum(np.abs(move[0]), np.abs(move[1])) / theta, np.abs(move[2]))
     cut = np.minimum(1.0, LONGEST / np.maximum(far, LONGEST))
     return Contact(
-        c.b + move[0] * speed * cut, c.zeta + move[1] * cut, np.clip(c.eta + move[2] * cut, 0.05, np.pi - 0.05)
+        c.b + move[0] * speed * cut,
+        c.zeta + move[1] * cut,
+        np.clip(c.eta + move[2] * cut, 0.05, np.pi - 0.05),
     ), far
 
 
@@ -228,7 +268,10 @@ def _coulomb(
         norm = np.sqrt(norm2)
         # d(1 + p A)^-1 f/dp = -(1 + p A)^-1 A (1 + p A)^-1 f.
         g_x, g_y = a * x + b * y, c * x + d * y
-        rate_x, rate_y = ((1.0 + p * d) * g_x - p * b * g_y) / scale, ((1.0 + p * a) * g_y - p * c * g_x) / scale
+        rate_x, rate_y = (
+            ((1.0 + p * d) * g_x - p * b * g_y) / scale,
+            ((1.0 + p * a) * g_y - p * c * g_x) / scale,
+        )
         rate = x * rate_x + y * rate_y
         p = np.maximum(p + (norm / limit - 1.0) * norm2 / rate, 0.0)
     x, y, _ = _shifted(stiff, force, trace, det, p)
@@ -277,12 +320,17 @@ def _solve(body: Body, theta: FloatArray, guess: Contact, before: Memory) -> tup
         if keep.size < active.size:
             active = keep
             part, angle = body.rows(active), theta[active]
-            memory = Memory(before.b[active], before.zeta[active], before.length[active])
+            memory = Memory(*(v[active] for v in before))
     return Contact(b, zeta, eta), good
 
 
 def follow_rod(
-    eps: FloatArray, thetas: FloatArray, friction: FloatArray, radius: FloatArray, profile: Profile, reduced: Path
+    eps: FloatArray,
+    thetas: FloatArray,
+    friction: FloatArray,
+    radius: FloatArray,
+    profile: Profile,
+    reduced: Path,
 ) -> RodPath:
     """Follow n pushes through k angles.
 
@@ -295,49 +343,156 @@ def follow_rod(
         reduced: the reduced rod on the same path, from whose increments each step starts.
     """
     size = thetas.shape
-    names = ("delta", "moment_angle", "slide", "lean", "arc_length")
-    fields = {name: np.zeros(size) for name in names}
+    fields = {name: np.zeros(size) for name in ("delta", "moment_angle", "slide", "lean", "arc_length")}
     slipped = np.zeros(size, dtype=np.bool_)
     converged = np.zeros(size, dtype=np.bool_)
     for first in range(0, size[1], CHUNK):
         part = slice(first, min(first + CHUNK, size[1]))
         index = np.arange(part.start, part.stop)
         mu = friction[part]
-        body = Body(
-            np.sin(eps[part]), np.cos(eps[part]), mu, mu / np.hypot(1.0, mu), radius[part], profile.rows(index)
-        )
-        views = {k: v[:, part] for k, v in fields.items()}
-        _follow_rows(body, thetas[:, part], reduced, part, views, slipped[:, part], converged[:, part])
+        grip = mu / np.hypot(1.0, mu)
+        body = Body(np.sin(eps[part]), np.cos(eps[part]), mu, grip, radius[part], profile.rows(index))
+        walk = _Walk(body, {k: v[:, part] for k, v in fields.items()})
+        for step, theta in enumerate(thetas[:, part]):
+            hint = Hint(
+                reduced.parameter[step, part], reduced.along[step, part], reduced.slipped_off[step, part]
+            )
+            walk.go(step, theta, hint)
+            slipped[step, part] = walk.slipped
+            converged[step, part] = walk.converged
     return RodPath(slipped_off=slipped, converged=converged, **fields)
 
 
-def _guess(body: Body, theta: FloatArray, reduced: Path, step: int, part: slice, last: Memory) -> Contact:
-    b = last.b + reduced.parameter[step, part]
-    if step:
-        b = b - reduced.parameter[step - 1, part]
-    r = reduced.slope[step, part]
-    u = body.radius * r
-    zeta = 2.0 * r / (2.0 + u + np.sqrt(u * u + 2.0 * u + 4.0))
-    return Contact(b, zeta, 0.5 * np.pi - np.arctan(body.friction * reduced.along[step, part]))
+class _Walk:
+    """The state of some rows on their way through a push; rows that slip off or fail stay where they were."""
+
+    def __init__(self, body: Body, out: dict[str, FloatArray]) -> None:
+        n = body.friction.size
+        self.body = body
+        self.out = out
+        self.live = np.arange(n)
+        self.last = Memory(np.zeros(n), np.zeros(n), np.ones(n), np.zeros(n), np.zeros(n))
+        self.start: dict[str, FloatArray | float] = {"delta": np.pi, "arc_length": 1.0}
+        self.hint_b = np.zeros(n)
+        self.theta = np.zeros(n)
+        self.moved = np.zeros(n)
+        self.slipped = np.zeros(n, dtype=np.bool_)
+        self.converged = np.ones(n, dtype=np.bool_)
+
+    def go(self, step: int, theta_all: FloatArray, hint_all: Hint) -> None:
+        """One step of all rows."""
+        self.start.setdefault("moment_angle", theta_all)
+        for name, values in self.out.items():
+            if step:
+                values[step] = values[step - 1]
+            elif name in self.start:
+                values[0] = self.start[name]
+        theta, hint = theta_all[self.live], hint_all.rows(self.live)
+        moved = theta - self.theta
+        angles = (theta, moved, self.moved)
+        with np.errstate(all="ignore"):
+            guess = _beside(self.body, theta, self.last.b + (hint.b - self.hint_b), hint.along)
+            new, after, pose, found = _advance(self.body, angles, guess, self.last)
+            lost = np.flatnonzero(~found & ~hint.slipped)
+            if lost.size:
+                _replace((new, after, pose, found), lost, self._rescue(lost, angles, hint, guess))
+            rows = self.live[found]
+            self._write(step, rows, new, pose, found)
+        lost = np.flatnonzero(~found)
+        if lost.size:
+            _, _, cos, _, _, _ = self.body.profile.rows(lost).at(self.last.b[lost])
+            off = hint.slipped[lost] | (cos < ROUND)
+            self.slipped[self.live[lost[off]]] = True
+            self.converged[self.live[lost[~off]]] = False
+            keep = np.flatnonzero(found)
+            self.live, self.body = self.live[keep], self.body.rows(keep)
+            after = Memory(*(v[keep] for v in after))
+            hint, theta, moved = hint.rows(keep), theta[keep], moved[keep]
+        self.last, self.hint_b, self.theta, self.moved = after, hint.b, theta, moved
+
+    def _write(self, step: int, rows: NDArray[np.int64], new: Contact, pose: Pose, found: BoolArray) -> None:
+        moment = base_curvature(pose.bend, new.eta, pose.root_force) / 3.0
+        values = (pose.delta, moment, self.body.profile.arc(new.b), new.zeta, pose.length)
+        for name, value in zip(("delta", "moment_angle", "slide", "lean", "arc_length"), values, strict=True):
+            self.out[name][step, rows] = value[found]
+
+    def _rescue(
+        self, lost: NDArray[np.int64], angles: Angles, hint: Hint, guess: Contact
+    ) -> tuple[Contact, Memory, Pose, BoolArray]:
+        """Rows that did not settle: the jump that the reduced rod makes, then the step in parts."""
+        body, last = self.body.rows(lost), Memory(*(v[lost] for v in self.last))
+        part = (angles[0][lost], angles[1][lost], angles[2][lost])
+        near = _beside(body, part[0], hint.b[lost], hint.along[lost])
+        result = _advance(body, part, near, last)
+        still = np.flatnonzero(~result[3])
+        if still.size:
+            aim = Contact(*(v[lost[still]] for v in guess))
+            again = _split(
+                body.rows(still),
+                (part[0][still], part[1][still], part[2][still]),
+                Memory(*(v[still] for v in last)),
+                aim,
+            )
+            _replace(result, still, again)
+        return result
 
 
-def _follow_rows(
-    body: Body, thetas: FloatArray, reduced: Path, part: slice, out: dict[str, FloatArray], slipped: BoolArray,
-    converged: BoolArray,
+def _replace(
+    whole: tuple[Contact, Memory, Pose, BoolArray],
+    index: NDArray[np.int64],
+    part: tuple[Contact, Memory, Pose, BoolArray],
 ) -> None:
-    n = thetas.shape[1]
-    last = Memory(np.zeros(n), np.zeros(n), np.ones(n))
-    good = np.ones(n, dtype=np.bool_)
-    with np.errstate(all="ignore"):
-        for step, theta in enumerate(thetas):
-            guess = _guess(body, theta, reduced, step, part, last)
-            new, found = _solve(body, theta, guess, last)
-            pose = _pose(body, theta, new, last, full=True)
-            good &= found
-            out["delta"][step] = pose.delta
-            out["moment_angle"][step] = base_curvature(pose.bend, new.eta, pose.root_force) / 3.0
-            out["slide"][step] = body.profile.arc(new.b)
-            out["lean"][step] = new.zeta
-            out["arc_length"][step] = pose.length
-            converged[step] = good
-            last = Memory(new.b, new.zeta, pose.length)
+    """Put the rows of ``part`` at ``index`` of ``whole``."""
+    for old, new in zip(whole[:3], part[:3], strict=True):
+        for target, source in zip(old, new, strict=True):
+            target[index] = source
+    whole[3][index] = part[3]
+
+
+def _beside(body: Body, theta: FloatArray, b: FloatArray, along: FloatArray) -> Contact:
+    """A contact near b: lean by the small-angle rod, friction with its share ``along`` along the beam.
+
+    A rod with an end force bends by 3/2 of the slope of its chord; with the drop R zeta^2/2 and the shift R zeta of
+    the touching point this makes a quadratic equation for zeta.
+    """
+    sine, cosine = np.sin(theta), np.cos(theta)
+    out_c, out_n, cos, sin, _, _ = body.profile.at(b)
+    lean_0 = sine * (body.sin_eps * sin + body.cos_eps * cos)
+    ahead = cosine - sine * (body.sin_eps * out_c + body.cos_eps * out_n)
+    depth = out_c * sin + out_n * cos + ahead * lean_0
+    linear = ahead - body.radius * lean_0
+    constant = 1.5 * depth - lean_0 * ahead
+    root = np.sqrt(np.maximum(linear * linear - body.radius * constant, 0.0))
+    return Contact(b, 2.0 * constant / (linear + root), 0.5 * np.pi - np.arctan(body.friction * along))
+
+
+def _advance(
+    body: Body, angles: Angles, guess: Contact, last: Memory
+) -> tuple[Contact, Memory, Pose, BoolArray]:
+    """One step: the contact, what friction remembers of it, all that follows, and whether it was found."""
+    theta, moved, moved_before = angles
+    w = pace(moved, moved_before)
+    carry = w * w / (1.0 + 2.0 * w)
+    before = last._replace(slip_lat=carry * last.slip_lat, slip_lon=carry * last.slip_lon)
+    new, found = _solve(body, theta, guess, before)
+    pose = _pose(body, theta, new, before, full=True)
+    found &= (pose.force_n > 0.0) & body.profile.within(new.b) & (np.abs(new.zeta) < MAX_LEAN)
+    after = Memory(
+        new.b, new.zeta, pose.length, pose.slip_lat + before.slip_lat, pose.slip_lon + before.slip_lon
+    )
+    return new, after, pose, found
+
+
+def _split(body: Body, angles: Angles, last: Memory, aim: Contact) -> tuple[Contact, Memory, Pose, BoolArray]:
+    """The same step in SPLIT parts."""
+    theta, moved, moved_before = angles
+    found = np.ones(theta.size, dtype=np.bool_)
+    at = Contact(last.b, last.zeta, aim.eta)
+    for part in range(1, SPLIT + 1):
+        share = 1.0 / (SPLIT - part + 1)
+        near = Contact(*(s + share * (a - s) for s, a in zip(at, aim, strict=True)))
+        here = theta - moved * (1.0 - part / SPLIT)
+        at, last, pose, fine = _advance(body, (here, moved / SPLIT, moved_before), near, last)
+        found &= fine
+        moved_before = moved / SPLIT
+    return at, last, pose, found

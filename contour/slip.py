@@ -23,12 +23,12 @@ The derivation is in docs/derivations.md; a converged rod is in contour.elastica
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ArcProfile", "Path", "Profile", "follow"]
+__all__ = ["ArcProfile", "Path", "Profile", "follow", "pace"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -57,7 +57,9 @@ MAX_TURN = 2.6
 class Profile(Protocol):
     """A silhouette curve in the sensing plane, n of them at once, each with its own parameter b (0 at touch)."""
 
-    def at(self, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    def at(
+        self, b: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """(c_t, c_n, cos omega, sin omega, curvature, db/da) at parameter b."""
         ...
 
@@ -93,7 +95,9 @@ class ArcProfile:
         self.curvature = curvature
         self.half = 0.5 * curvature
 
-    def at(self, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    def at(
+        self, b: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         tau = self.half * b
         speed = tau * tau
         speed += 1.0
@@ -119,7 +123,9 @@ class ArcProfile:
     def arc(self, b: FloatArray) -> FloatArray:
         # tan^-1(tau)/tau is even and smooth; below 1e-4 its series has only its first term left in a double.
         tau = np.abs(self.half * b)
-        return np.asarray(b * np.where(tau < 1e-4, 1.0 - tau * tau / 3.0, np.arctan(tau) / np.maximum(tau, 1e-5)))
+        return np.asarray(
+            b * np.where(tau < 1e-4, 1.0 - tau * tau / 3.0, np.arctan(tau) / np.maximum(tau, 1e-5))
+        )
 
     def within(self, b: FloatArray) -> BoolArray:
         return np.asarray(np.abs(self.half * b) < np.tan(0.5 * MAX_TURN))
@@ -153,23 +159,40 @@ class Path:
     """The contact has left the body; the values are those of the last contact."""
 
 
+class _Memory(NamedTuple):
+    """What friction remembers of the steps before.
+
+    The slip of a step counts from here. Where a stroke goes on, ``length`` and ``slid`` hold in addition
+    w^2/(1 + 2w) of the slip of the step before, w being the ratio of the steps: then the direction of the
+    slip is that of its rate at the end of the step, to second order.
+    """
+
+    b: FloatArray
+    length: FloatArray
+    slid: FloatArray
+
+    def rows(self, index: NDArray[np.int64]) -> _Memory:
+        """The same for a selection."""
+        return _Memory(self.b[index], self.length[index], self.slid[index])
+
+
 class _Rows:
     """What stays the same along the push for some rows: eps' sine and cosine, friction, profile."""
 
-    def __init__(self, sin_eps: FloatArray, cos_eps: FloatArray, friction: FloatArray, profile: Profile) -> None:
+    def __init__(
+        self, sin_eps: FloatArray, cos_eps: FloatArray, friction: FloatArray, profile: Profile
+    ) -> None:
         self.sin_eps = sin_eps
         self.cos_eps = cos_eps
         self.friction = friction
         self.profile = profile
 
     def rows(self, index: NDArray[np.int64]) -> _Rows:
-        return _Rows(
-            self.sin_eps[index], self.cos_eps[index], self.friction[index], self.profile.rows(index)
-        )
+        return _Rows(self.sin_eps[index], self.cos_eps[index], self.friction[index], self.profile.rows(index))
 
 
 def _linearise(
-    rows: _Rows, turn: tuple[FloatArray, FloatArray, FloatArray], b: FloatArray, before: tuple[FloatArray, FloatArray]
+    rows: _Rows, turn: tuple[FloatArray, FloatArray, FloatArray], b: FloatArray, before: _Memory
 ) -> tuple[FloatArray, ...]:
     """What the contact condition is made of, at b, with its derivatives along the profile.
 
@@ -218,13 +241,17 @@ def _linearise(
     secant2 *= 0.1
     secant2 += 0.9
     secant2 *= chord
-    secant2 -= before[1]
-    d_a = rows.profile.chord(b, before[0])
+    secant2 -= before.length
+    d_a = rows.profile.chord(b, before.b)
+    d_a -= before.slid
     return force_t, slope_t, force_n, slope_n, d_a, secant2, d_l_slope, speed
 
 
 def _improve(
-    rows: _Rows, turn: tuple[FloatArray, FloatArray, FloatArray], b: FloatArray, before: tuple[FloatArray, FloatArray],
+    rows: _Rows,
+    turn: tuple[FloatArray, FloatArray, FloatArray],
+    b: FloatArray,
+    before: _Memory,
     inner: int,
 ) -> tuple[FloatArray, FloatArray]:
     """A better b, and how far it still was, squared and compared with the slip (relative to the second order left).
@@ -304,20 +331,20 @@ def _arc_length(x: FloatArray, square: FloatArray) -> FloatArray:
 
 
 def _residual(
-    rows: _Rows, turn: tuple[FloatArray, FloatArray, FloatArray], b: FloatArray, before: tuple[FloatArray, FloatArray]
+    rows: _Rows, turn: tuple[FloatArray, FloatArray, FloatArray], b: FloatArray, before: _Memory
 ) -> tuple[FloatArray, FloatArray]:
     """The contact condition at b, and force . n."""
     _, _, x, square, force_t, force_n = _state(rows, turn, b)
-    d_a = rows.profile.chord(b, before[0])
-    d_l = _arc_length(x, square) - before[1]
+    d_a = rows.profile.chord(b, before.b) - before.slid
+    d_l = _arc_length(x, square) - before.length
     return force_t + rows.friction * force_n * d_a / np.sqrt(d_a * d_a + d_l * d_l + NOTHING), force_n
 
 
 def _search(
-    rows: _Rows, turn: tuple[FloatArray, FloatArray, FloatArray], before: tuple[FloatArray, FloatArray], depth: FloatArray
+    rows: _Rows, turn: tuple[FloatArray, FloatArray, FloatArray], before: _Memory, depth: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """The first equilibrium past the last position, by growing brackets and bisection; False where there is none."""
-    start = before[0]
+    start = before.b
     first, _ = _residual(rows, turn, start, before)
     sense = -np.sign(first)
     width = FIRST_BRACKET * depth
@@ -346,7 +373,10 @@ def _search(
 
 
 def _solve(
-    rows: _Rows, turn: tuple[FloatArray, FloatArray, FloatArray], guess: FloatArray, before: tuple[FloatArray, FloatArray],
+    rows: _Rows,
+    turn: tuple[FloatArray, FloatArray, FloatArray],
+    guess: FloatArray,
+    before: _Memory,
     depth: FloatArray,
 ) -> tuple[FloatArray, BoolArray]:
     """The position at the end of one step: Newton from the guess, on all rows, then on the few that need more."""
@@ -360,14 +390,17 @@ def _solve(
             rows.rows(rest),
             (turn[0][rest], turn[1][rest], turn[2][rest]),
             b[rest],
-            (before[0][rest], before[1][rest]),
+            before.rows(rest),
             depth[rest],
         )
     return b, on_body
 
 
 def _solve_hard(
-    rows: _Rows, turn: tuple[FloatArray, FloatArray, FloatArray], guess: FloatArray, before: tuple[FloatArray, FloatArray],
+    rows: _Rows,
+    turn: tuple[FloatArray, FloatArray, FloatArray],
+    guess: FloatArray,
+    before: _Memory,
     depth: FloatArray,
 ) -> tuple[FloatArray, BoolArray]:
     """More Newton steps on a few rows; the search on those that wander or settle where no contact can be."""
@@ -381,7 +414,7 @@ def _solve_hard(
         b[bad], on_body[bad] = _search(
             rows.rows(bad),
             (turn[0][bad], turn[1][bad], turn[2][bad]),
-            (before[0][bad], before[1][bad]),
+            before.rows(bad),
             depth[bad],
         )
     return b, on_body
@@ -411,29 +444,27 @@ def follow(eps: FloatArray, thetas: FloatArray, friction: FloatArray, profile: P
 
 def _follow_rows(rows: _Rows, thetas: FloatArray, out: dict[str, FloatArray], slipped: BoolArray) -> None:
     n = thetas.shape[1]
-    b = np.zeros(n)
-    length = np.ones(n)
-    rate = np.zeros(n)
-    theta_before = np.zeros(n)
+    zero = np.zeros(n)
+    b, length = zero, np.ones(n)
+    d_a = d_l = rate = moved_before = theta_before = zero
     gone = np.zeros(n, dtype=np.bool_)
-    forward = np.ones(n, dtype=np.bool_)
     for step, theta in enumerate(thetas):
         sine = np.sin(theta)
         turn = (np.cos(theta), sine * rows.sin_eps, sine * rows.cos_eps)
         moved = theta - theta_before
-        onward = moved > 0.0
-        guess = np.where(onward == forward, b + rate * moved, b)
-        new, on_body = _solve(rows, turn, guess, (b, length), theta)
+        w = pace(moved, moved_before)
+        carry = w * w / (1.0 + 2.0 * w)
+        before = _Memory(b, length + carry * d_l, carry * d_a)
+        new, on_body = _solve(rows, turn, b + rate * (w * moved_before), before, theta)
         gone |= ~on_body
         if gone.any():
             new = np.where(gone, b, new)
-        d_a = rows.profile.chord(new, b)
-        rate = np.divide(new - b, moved, out=np.zeros(n), where=moved != 0.0)
-        b = new
-        along_t, out_n, x, square, _, _ = _state(rows, turn, b)
+        along_t, out_n, x, square, _, _ = _state(rows, turn, new)
         new_length = _arc_length(x, square)
-        d_l = new_length - length
-        length = new_length
+        d_a, d_l = rows.profile.chord(new, b), new_length - length
+        rate = np.divide(new - b, moved, out=np.zeros(n), where=moved != 0.0)
+        lateral, along = d_a - before.slid, new_length - before.length
+        b, length = new, new_length
         slope = np.sqrt(np.maximum(square / (x * x) - 1.0, 0.0))
         towards = -(rows.sin_eps * along_t + rows.cos_eps * out_n)
         across = rows.sin_eps * out_n - rows.cos_eps * along_t
@@ -443,7 +474,12 @@ def _follow_rows(rows: _Rows, thetas: FloatArray, out: dict[str, FloatArray], sl
         out["parameter"][step] = b
         out["slide"][step] = rows.profile.arc(b)
         out["arc_length"][step] = length
-        out["along"][step] = d_l / np.sqrt(d_a * d_a + d_l * d_l + NOTHING)
+        out["along"][step] = along / np.sqrt(lateral * lateral + along * along + NOTHING)
         slipped[step] = gone
-        theta_before = theta
-        forward = onward
+        theta_before, moved_before = theta, moved
+
+
+def pace(moved: FloatArray, moved_before: FloatArray) -> FloatArray:
+    """Ratio of a step to the one before where the stroke goes on, 0 where one begins."""
+    onward = moved * moved_before > 0.0
+    return np.divide(moved, moved_before, out=np.zeros_like(moved), where=onward)
