@@ -53,9 +53,7 @@ def _make(folder: Path) -> None:
 def main(folder: Path) -> int:
     """Make ``folder`` a working environment; 0 when done, 1 with one line of remedy when not."""
     if sys.version_info < OLDEST:
-        print(
-            f"contour needs Python 3.11 or newer, this is {sys.version.split()[0]}: run make PYTHON=python3.11"
-        )
+        print(f"contour needs Python 3.11 or newer, this is {sys.version.split()[0]}: make PYTHON=python3.11")
         return 1
     try:
         _make(folder)
