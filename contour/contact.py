@@ -23,9 +23,18 @@ from contour.response import (
     refine,
     request,
 )
-from contour.slip import ArcProfile, Path, Profile, follow
+from contour.silhouette import ArcProfile, Profile, sampled
+from contour.slip import Path, follow
 
-__all__ = ["CycleResponse", "PushResponse", "k_of_h", "moment_angle", "push_cycle", "push_response"]
+__all__ = [
+    "CycleResponse",
+    "PushResponse",
+    "k_of_h",
+    "moment_angle",
+    "push_cycle",
+    "push_cycle_profile",
+    "push_response",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -95,6 +104,32 @@ def push_cycle(
     """
     asked = request(eps, thetas, distance, friction, radius_along, radius_across)
     return _answer(asked, ArcProfile(asked.bend))
+
+
+def push_cycle_profile(
+    eps: ArrayLike,
+    thetas: ArrayLike,
+    *,
+    distance: ArrayLike,
+    friction: ArrayLike,
+    radius_along: ArrayLike,
+    profile: tuple[ArrayLike, ArrayLike],
+) -> CycleResponse:
+    """The same on an arbitrary silhouette.
+
+    Args:
+        eps: pushing direction off the inner normal at touch [rad], (...).
+        thetas: angles of the base from touch, in their order [rad], (..., k).
+        distance: s [m], (...).
+        friction: mu, (...).
+        radius_along: R [m], as for :func:`push_response`, (...).
+        profile: (offsets, heights) [m], each (m,) or (..., m): heights above the tangent at touch along the outer
+            normal, at rising offsets along that tangent, positive a quarter turn past the outer normal in the sense
+            of the sensing plane's angles (with the beam along d and the outer normal n, along n x d). Below zero on
+            a convex body; not a number where the body has ended. A contact that leaves the samples has slipped off.
+    """
+    asked = request(eps, thetas, distance, friction, radius_along, np.inf)
+    return _answer(asked, sampled(*profile, asked.distance))
 
 
 def _answer(asked: PushRequest, profile: Profile) -> CycleResponse:

@@ -19,7 +19,7 @@ def k_of_h(h: ArrayLike) -> FloatArray:
     (23), (31) and (32) of Kaneko1998 solved without linearising in 1/h; to first order k = 1 - 3/(8h).
 
     >>> round(float(k_of_h(10.0)), 4)
-    0.9635
+    0.9636
     """
     return softening(1.0 / np.asarray(h, dtype=np.float64))
 

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contour.planar_elastica import base_curvature, shape
-from contour.slip import Path, Profile, pace
+from contour.silhouette import Profile
+from contour.slip import Path, pace
 
 __all__ = ["RodPath", "follow_rod"]
 

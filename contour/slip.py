@@ -23,12 +23,14 @@ The derivation is in docs/derivations.md; a converged rod is in contour.elastica
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ArcProfile", "Path", "Profile", "follow", "pace"]
+from contour.silhouette import Profile
+
+__all__ = ["Path", "follow", "pace"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -41,7 +43,7 @@ INNER_STEPS_HARD = (6, 6, 6, 6)
 """The same on the rows that have not settled, before the bracketing search."""
 SETTLED = 1e-8
 """What the next step would change, relative to the depth of the push: the last is accepted below this."""
-BRACKETS = 96
+BRACKETS = 300
 """Growing search intervals of the fallback, the first FIRST_BRACKET of the depth long, each GROWTH times longer."""
 FIRST_BRACKET = 1e-7
 GROWTH = 1.4
@@ -50,91 +52,6 @@ BISECTIONS = 52
 TINY = 1e-20
 NOTHING = 1e-40
 """Square of a slip that counts as none [s^2]; keeps 0/0 out of a step that does not move."""
-MAX_TURN = 2.6
-"""Turn of the normal along the profile beyond which the contact has left the body [rad]."""
-
-
-class Profile(Protocol):
-    """A silhouette curve in the sensing plane, n of them at once, each with its own parameter b (0 at touch)."""
-
-    def at(
-        self, b: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """(c_t, c_n, cos omega, sin omega, curvature, db/da) at parameter b."""
-        ...
-
-    def chord(self, b: FloatArray, start: FloatArray) -> FloatArray:
-        """da, the signed length of the slide from ``start`` to b."""
-        ...
-
-    def arc(self, b: FloatArray) -> FloatArray:
-        """Arc length from touch to b."""
-        ...
-
-    def within(self, b: FloatArray) -> BoolArray:
-        """Whether b is still on the profile."""
-        ...
-
-    def reach(self) -> FloatArray:
-        """Longest bracket in b that resolves the profile."""
-        ...
-
-    def rows(self, index: NDArray[np.int64]) -> Profile:
-        """The same for a selection."""
-        ...
-
-
-class ArcProfile:
-    """Circular arcs of curvature kappa (0 flat, < 0 concave), by the tangent of the half angle.
-
-    b = (2/kappa) tan(kappa a/2) has no trigonometry in it and no special case for a flat profile:
-    with tau = kappa b/2, c_t = b/(1 + tau^2), c_n = -tau c_t, cos omega = (1 - tau^2)/(1 + tau^2).
-    """
-
-    def __init__(self, curvature: FloatArray) -> None:
-        self.curvature = curvature
-        self.half = 0.5 * curvature
-
-    def at(
-        self, b: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        tau = self.half * b
-        speed = tau * tau
-        speed += 1.0
-        q = 1.0 / speed
-        along = b * q
-        out = tau * along
-        np.negative(out, out=out)
-        q += q
-        sin = tau * q
-        q -= 1.0
-        return along, out, q, sin, self.curvature, speed
-
-    def chord(self, b: FloatArray, start: FloatArray) -> FloatArray:
-        # 2/kappa tan(turn/2): the arc to third order in the turn of one step, and exact on a flat profile.
-        da = b - start
-        tau = self.half * b
-        tau *= self.half
-        tau *= start
-        tau += 1.0
-        da /= tau
-        return da
-
-    def arc(self, b: FloatArray) -> FloatArray:
-        # tan^-1(tau)/tau is even and smooth; below 1e-4 its series has only its first term left in a double.
-        tau = np.abs(self.half * b)
-        return np.asarray(
-            b * np.where(tau < 1e-4, 1.0 - tau * tau / 3.0, np.arctan(tau) / np.maximum(tau, 1e-5))
-        )
-
-    def within(self, b: FloatArray) -> BoolArray:
-        return np.asarray(np.abs(self.half * b) < np.tan(0.5 * MAX_TURN))
-
-    def reach(self) -> FloatArray:
-        return 0.1 / (np.abs(self.curvature) + 0.2)
-
-    def rows(self, index: NDArray[np.int64]) -> ArcProfile:
-        return ArcProfile(self.curvature[index])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
