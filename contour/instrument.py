@@ -153,6 +153,18 @@ class ApproachReading:
         """(n,) whether the antenna now stands at the edge of touch."""
         return (self.outcome == Outcome.FOUND) | (self.outcome == Outcome.BLOCKED)
 
+    def take(self, rows: IntArray) -> Self:
+        """The approaches ``rows``."""
+        return type(self)(
+            which=self.which[rows],
+            outcome=self.outcome[rows],
+            pose=self.pose[rows],
+            direction_world=self.direction_world[rows],
+            travel=self.travel[rows],
+            samples=self.samples.take(rows),
+            depth_per_sample=self.depth_per_sample,
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PushReading:

@@ -11,6 +11,7 @@ from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from contour.antenna import Antenna
 from contour.contacts import Kind
@@ -33,6 +34,14 @@ GUARDED_MOVE = 0.02
 """Moves to a start no longer than this are made at approach speed: they end near the body [m]."""
 ZERO_TIME = 0.5
 """Averaging of a zero [s]."""
+SMOOTH_RISE = 0.5e-3
+"""How far the smooth surface may stand above the mesh along a motion [m]."""
+SHORTEST = 4e-3
+"""Contacts nearer to the centre of rotation than this are taken to be here: the adaptor's, not the beam's [m]."""
+ROUND_SHARE = 0.35
+"""Part of the profile's radius within which it counts as a circle."""
+CREASE_PITCH = 1e-3
+"""Distance of the points that creases are sampled at to find the nearest [m]."""
 SMALLEST_RADIUS = 1e-6
 """Radii of curvature below this are edges [m]."""
 
@@ -43,6 +52,22 @@ def _blank(n: int) -> TrueContact:
     return TrueContact(
         **{f.name: np.zeros(shapes.get(f.name, (n,)), dtype=kinds.get(f.name, np.float64)) for f in fields(TrueContact)}
     )
+
+
+def _crease_tree(environment: MeshEnvironment) -> cKDTree | None:
+    """Points along all creases of the scene; None where there are none."""
+    topology = environment.topology
+    if not topology.sharp.any():
+        return None
+    vertices = np.zeros((int(topology.corners.max()) + 1, 3))
+    vertices[topology.corners.ravel()] = environment.triangles.reshape(-1, 3)
+    ends = vertices[topology.edge_vertices[topology.sharp]]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    count = np.ceil(length / CREASE_PITCH).astype(np.int64) + 1
+    edge = np.repeat(np.arange(count.size), count)
+    first = np.cumsum(count) - count
+    share = (np.arange(edge.size) - first[edge]) / np.maximum(count[edge] - 1, 1)
+    return cKDTree(ends[edge, 0] + share[:, None] * (ends[edge, 1] - ends[edge, 0]))
 
 
 class MeshInstrument:
@@ -74,6 +99,7 @@ class MeshInstrument:
         self._machine = machine
         self._mount = mount
         self._n = antennas
+        self._creases = _crease_tree(environment)
         self._ladder = Ladder(rung, tolerance)
         self._virtual = VirtualAntenna(antenna, machine, mount, self._ladder)
         self._pose = np.full((antennas, 5), np.nan)
@@ -190,18 +216,18 @@ class MeshInstrument:
         origin = self._mount.position_world(pose)
         beam = self._antenna.beam
         first = self._env.first_contact(
-            origin, rotation[:, :, 1], beam.length, translation=direction * (travel + beam.diameter)[:, None]
+            origin,
+            rotation[:, :, 1],
+            beam.length,
+            translation=direction * (travel + SMOOTH_RISE)[:, None],
+            radius=beam.radius,
         )
-        normal = first.normal
-        facing = np.maximum(-np.sum(direction * normal, axis=1), 0.05)
-        # The beam's surface, one radius ahead of its axis, touches before; between creases the mesh stands for the
-        # smooth surface that it samples.
-        early = (beam.radius + first.lift) / facing
-        reached = np.where(first.touching, 0.0, first.travel - early)
+        # Between creases the mesh stands for the smooth surface that it samples, which is met a little sooner.
+        facing = np.maximum(-np.sum(direction * first.normal, axis=1), 0.05)
+        reached = np.where(first.touching, 0.0, first.travel - first.lift / facing)
         hit = (first.hit | first.touching) & (reached <= travel)
-        reached = np.maximum(reached, 0.0)
-        self._note(found, rows[hit], first, np.flatnonzero(hit), rotation, normal)
-        return reached, hit
+        self._note(found, rows[hit], first, np.flatnonzero(hit), rotation)
+        return np.maximum(reached, 0.0), hit
 
     def _note(
         self,
@@ -210,13 +236,12 @@ class MeshInstrument:
         first: FirstContact,
         index: IntArray,
         rotation: FloatArray,
-        normal: FloatArray,
     ) -> None:
         beam = self._antenna.beam
         along, across = first.curvature_along[index], first.curvature_across[index]
-        normal_here, frame = normal[index], rotation[index]
+        normal_here, frame = first.normal[index], rotation[index]
         tip = first.kind[index] == TouchKind.TIP
-        found.distance[rows] = np.where(tip, beam.length, first.distance[index])
+        found.distance[rows] = np.where(tip, beam.length, np.maximum(first.distance[index], SHORTEST))
         found.outward[rows] = plane_angle(normal_here, frame)
         found.tilt[rows] = np.where(tip, np.arcsin(np.clip(-np.sum(normal_here * frame[:, :, 1], axis=1), -1, 1)), 0.0)
         kinds = np.where(tip, np.int8(Kind.TIP), np.where(first.kind[index] == TouchKind.EDGE, np.int8(Kind.EDGE), np.int8(Kind.SIDE)))
@@ -232,6 +257,18 @@ class MeshInstrument:
         found.point[rows], found.normal[rows] = first.point[index], normal_here
         found.body[rows] = first.body[index]
         found.region[rows] = -1
+        found.extent[rows] = self._extent(first, index)
+
+    def _extent(self, first: FirstContact, index: IntArray) -> FloatArray:
+        """How far to the sides the contact's own radii hold: to the crease's end, the next crease, a part of R_l."""
+        across = np.abs(first.curvature_across[index])
+        extent = np.where(np.isfinite(across), ROUND_SHARE / np.maximum(across, 1e-3), 0.0)
+        edge = first.kind[index] == TouchKind.EDGE
+        ends = np.abs(first.edge_interval[index]).min(axis=1)
+        if self._creases is None:
+            return np.where(edge, np.minimum(extent, ends), extent)
+        near, _ = self._creases.query(first.point[index])
+        return np.minimum(extent, np.where(edge, ends, np.maximum(near - CREASE_PITCH, 0.0)))
 
     def _arrive(
         self,

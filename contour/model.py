@@ -175,6 +175,10 @@ class ModelStrategy:
         limit = np.full(n, self._antenna.moment_limit)
         return Ask(action=work.action, phi=work.phi, angle=work.angle, moment_limit=limit, shift=np.zeros(n))
 
+    def drop(self, rows: IntArray) -> None:
+        """Contacts ``rows`` were not found again: they stay as they are."""
+        self._here().action[rows] = np.int8(Action.DONE)
+
     def watch(self, rows: IntArray) -> Watch | None:
         """Ends a push whose force runs round the body or falls away."""
         work = self._here()

@@ -159,6 +159,10 @@ class Strategy(Protocol):
         """Readings of the pushes asked for: contacts ``rows``, touched as ``touch`` (n rows each)."""
         ...
 
+    def drop(self, rows: IntArray) -> None:
+        """Contacts ``rows`` were not found again: nothing more will be told of them."""
+        ...
+
     def watch(self, rows: IntArray) -> Watch | None:
         """What watches the pushes of contacts ``rows`` while they are made."""
         ...

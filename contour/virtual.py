@@ -61,6 +61,8 @@ class TrueContact:
     """(n,) body touched."""
     region: NDArray[np.int8]
     """(n,) region of the surface where the scene knows one, else -1."""
+    extent: FloatArray
+    """(n,) m, how far to the sides the two radii describe the silhouette."""
     depth: FloatArray
     """(n,) m, how far the beam is pressed against the inner normal at rest; negative for a gap."""
 
