@@ -36,15 +36,15 @@ class Features:
     """Travel to each of m features of k triangles, inf where it is not met."""
 
     travel: FloatArray
-    """(k, m) [m] or [rad]."""
+    """(m, k) [m] or [rad]."""
     distance: FloatArray
-    """Along the beam (k, m) [m]."""
+    """Along the beam (m, k) [m]."""
     where: IntArray
     """:class:`Where` of the features (m,)."""
 
 
 class _Found:
-    """Features gathered column by column."""
+    """Features gathered one by one."""
 
     def __init__(self, k: int) -> None:
         self._k = k
@@ -60,22 +60,22 @@ class _Found:
         met: BoolArray,
         rows: IntArray | None = None,
     ) -> None:
-        """A column for all triangles, or for some rows of them."""
+        """A feature of all triangles, or of some rows of them."""
         travel = np.where(met, travel, np.inf)
         if rows is not None:
-            column = np.full(self._k, np.inf)
-            column[rows] = travel
+            everywhere = np.full(self._k, np.inf)
+            everywhere[rows] = travel
             place = np.zeros(self._k)
             place[rows] = distance
-            travel, distance = column, place
+            travel, distance = everywhere, place
         self._travel.append(travel)
         self._distance.append(np.broadcast_to(np.asarray(distance, dtype=np.float64), (self._k,)))
         self._where.append(int(where))
 
     def gathered(self) -> Features:
         return Features(
-            travel=np.stack(self._travel, axis=1),
-            distance=np.stack(self._distance, axis=1),
+            travel=np.stack(self._travel),
+            distance=np.stack(self._distance),
             where=np.array(self._where, dtype=np.int64),
         )
 
@@ -306,8 +306,10 @@ def _tip(angle: FloatArray, length: FloatArray) -> FloatArray:
 
 def _pierced(found: _Found, local: FloatArray, length: FloatArray) -> None:
     """Axes that pass through a triangle where they stand, far from its edges."""
-    above = local[..., 2] >= 0.0
-    rows = np.nonzero(above.any(axis=1) & ~above.all(axis=1))[0]
+    low, high = np.minimum.reduce(local, axis=1), np.maximum.reduce(local, axis=1)
+    rows = np.nonzero((low[:, 1:] <= 0.0).all(axis=1) & (high[:, 1] >= 0.0) & (high[:, 2] > 0.0))[0]
+    above = local[rows, :, 2] >= 0.0
+    rows = rows[~above.all(axis=1)]
     xa, ya, xb, yb, _, _ = plane_segments(local[rows])
     drop = ya - yb
     place = xa + ya / np.where(drop != 0.0, drop, 1.0) * (xb - xa)

@@ -110,7 +110,7 @@ class FirstContactSolver:
         row = np.nonzero(face >= 0)[0]
         bound = motions.limit.copy()
         # A capsule about an axis that meets a face meets it no later than the axis does.
-        first = _features(motions.rows(row), self._square(motions, row, face[row]), radius).travel.min(axis=1)
+        first = _features(motions.rows(row), self._square(motions, row, face[row]), radius).travel.min(axis=0)
         bound[row] = np.minimum(bound[row], first)
         regions = _swept(motions, bound, radius)
         owner, leaf = self.bvh.leaves_in(regions)
@@ -124,7 +124,7 @@ class FirstContactSolver:
         near = np.ones((len(leaf), vertices.shape[2] // 3), dtype=np.bool_)
         for slab in (0, 1):
             value = np.einsum("kjv,kj->kv", vertices, regions.slabs[:, slab].take(owner, axis=0))
-            value = value.reshape(len(leaf), -1, 3)
+            value = value.reshape(*near.shape, 3)
             least = np.minimum(np.minimum(value[..., 0], value[..., 1]), value[..., 2])
             most = np.maximum(np.maximum(value[..., 0], value[..., 1]), value[..., 2])
             near &= least <= regions.high[:, slab].take(owner)[:, None]
@@ -177,7 +177,8 @@ class FirstContactSolver:
         z = np.einsum("kjv,kj->kv", vertices, motions.frame[:, 2].take(owner, axis=0))
         z -= shift[:, 2].take(owner)[:, None]
         front = np.einsum("kjv,kj->kv", vertices, regions.slabs[:, 1].take(owner, axis=0))
-        reached = (front <= regions.high[:, 1].take(owner)[:, None]).view(np.int8).reshape(len(leaf), -1, 3)
+        reached = front <= regions.high[:, 1].take(owner)[:, None]
+        reached = reached.view(np.int8).reshape(len(leaf), self.bvh.leaf_faces.shape[1], 3)
         above = (z >= 0.0).view(np.int8).reshape(reached.shape)
         count = above[..., 0] + above[..., 1] + above[..., 2]
         near = reached[..., 0] | reached[..., 1] | reached[..., 2]
@@ -301,9 +302,8 @@ def _reduce_features(
 ) -> Touches:
     """From all features to the first touch of each beam."""
     touches = _nothing(n)
-    column = features.travel.argmin(axis=1) if len(owner) else np.zeros(0, dtype=np.int64)
-    rows = np.arange(len(owner))
-    travel = features.travel[rows, column]
+    feature = features.travel.argmin(axis=0)
+    travel = features.travel[feature, np.arange(len(owner))]
     travel = np.where(travel <= motions.limit.take(owner), travel, np.inf)
     best = _first_of(travel, owner, n)
     pick = _pick((travel == best.take(owner)) & np.isfinite(travel), owner, n)
@@ -311,19 +311,18 @@ def _reduce_features(
     pick = pick[found]
     touches.travel[found] = travel[pick]
     touches.face[found] = touches.near_face[found] = face[pick]
-    touches.where[found] = features.where[column[pick]]
+    touches.where[found] = features.where[feature[pick]]
     for name in ("distance", "near", "far"):
-        getattr(touches, name)[found] = features.distance[pick, column[pick]]
+        getattr(touches, name)[found] = features.distance[feature[pick], pick]
     reach = touches.travel + (TIE / motions.length if motions.turning else TIE)
     free = np.isfinite(touches.travel) & (touches.where != Where.THROUGH) & (touches.travel > 0.0)
-    tied = (features.travel <= reach.take(owner)[:, None]) & free.take(owner)[:, None]
-    low = np.where(tied, features.distance, np.inf).min(axis=1)
-    least = _first_of(low, owner, n)
-    most = -_first_of(-np.where(tied, features.distance, -np.inf).max(axis=1), owner, n)
-    pick = _pick(np.isfinite(low) & (low == least.take(owner)), owner, n)
-    found = np.nonzero(pick >= 0)[0]
-    touches.near[found], touches.far[found] = least[found], most[found]
-    touches.near_face[found] = face[pick[found]]
+    close = np.nonzero((travel <= reach.take(owner)) & free.take(owner))[0]
+    owner, face = owner.take(close), face.take(close)
+    tied = features.travel.take(close, axis=1) <= reach.take(owner)
+    place = features.distance.take(close, axis=1)
+    low = np.where(tied, place, np.inf).min(axis=0)
+    high = np.where(tied, place, -np.inf).max(axis=0)
+    _note_ends(touches, owner, face, low, high)
     return touches
 
 
@@ -367,12 +366,23 @@ def _spread(motions: Motions, touches: Touches, owner: IntArray, face: IntArray,
     gap = y[:, 1] - y[:, 0]
     cut = x[:, 0] + (TIE - y[:, 0]) / np.where(gap != 0.0, gap, 1.0) * (x[:, 1] - x[:, 0])
     ends = np.where(y <= TIE, x, cut[:, None])
-    low = _first_of(ends.min(axis=1), owner, n)
-    high = -_first_of(-ends.max(axis=1), owner, n)
-    pick = _pick(ends.min(axis=1) == low.take(owner), owner, n)
+    _note_ends(touches, owner, face, np.minimum(ends[:, 0], ends[:, 1]), np.maximum(ends[:, 0], ends[:, 1]))
+
+
+def _note_ends(
+    touches: Touches, owner: IntArray, face: IntArray, low: FloatArray, high: FloatArray
+) -> None:
+    """Fill in the touched interval of each beam from those (low, high) of the faces it touches."""
+    n = len(touches.travel)
+    least = _first_of(low, owner, n)
+    most = -_first_of(-high, owner, n)
+    ends = low == least.take(owner)
+    # Of the faces that begin there, the one touched farthest along lies along the beam.
+    longest = -_first_of(np.where(ends, -high, np.inf), owner, n)
+    pick = _pick(ends & (high == longest.take(owner)), owner, n)
     rows = np.nonzero(pick >= 0)[0]
-    touches.near[rows] = low[rows]
-    touches.far[rows] = high[rows]
+    touches.near[rows] = least[rows]
+    touches.far[rows] = most[rows]
     touches.near_face[rows] = face[pick[rows]]
 
 

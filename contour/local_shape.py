@@ -141,7 +141,9 @@ def describe(
     point = np.einsum("kc,kcj->kj", barycentric, topology.vertices[topology.corners[rows.face]])
     edge = _edges(topology, rows, barycentric)
     crease = (edge >= 0) & topology.sharp[edge]
-    normal, smooth = _normals(topology, surface, rows, barycentric, edge, crease, point)
+    # Where a line ends at a crease, its normal and the silhouette are still those of the surface it lies on.
+    ends_line = crease & rows.line & ~_runs_along(topology, rows, edge)
+    normal, smooth = _normals(topology, surface, rows, barycentric, edge, crease & ~ends_line, point)
     contact.point[at] = point + centre if radius > 0.0 else rows.axis + centre
     contact.distance[at] = rows.distance
     contact.face[at], contact.body[at] = rows.face, body[rows.face]
@@ -151,7 +153,7 @@ def describe(
     kind = np.where(crease | rows.line, TouchKind.EDGE, TouchKind.SIDE)
     kind = np.where(rows.where == Where.TIP, TouchKind.TIP, kind)
     contact.kind[at] = np.where(rows.where == Where.BASE, TouchKind.BASE, kind)
-    _curvatures(contact, topology, surface, rows, barycentric, point, edge, crease & ~ends)
+    _curvatures(contact, topology, surface, rows, barycentric, point, edge, crease & ~ends & ~ends_line)
     _creases(contact, topology, at, point, edge, crease & ~ends)
     return contact
 
@@ -241,16 +243,27 @@ def closest_barycentric(corners: FloatArray, point: FloatArray) -> FloatArray:
 
 def _edges(topology: Topology, rows: _Rows, barycentric: FloatArray) -> IntArray:
     """The mesh edge that is touched (k,), -1 inside a face."""
-    opposite = np.argmin(barycentric, axis=1)
-    k = np.arange(len(opposite))
-    # At the near end of a line any edge may end it; the one the point lies on does.
-    ended = rows.line & (barycentric[k, opposite] < 1e-6)
-    local = np.where(ended, (opposite + 1) % 3, np.where(rows.line, -1, rows.where))
-    edge = np.where((local >= 0) & (local < 3), topology.face_edges[rows.face, np.clip(local, 0, 2)], -1)
+    k = np.arange(len(rows.face))
+    on = barycentric[:, [2, 0, 1]] < 1e-6  # edge i is opposite corner i + 2
+    edges = topology.face_edges[rows.face]
+    # At the near end of a line the edge that ends it is felt, unless the line runs along a crease.
+    corner = on & topology.sharp[edges]
+    for i in range(3):
+        corner[:, i] &= _runs_along(topology, rows, edges[:, i])
+    local = np.where(corner.any(axis=1), corner.argmax(axis=1), np.where(on.any(axis=1), on.argmax(axis=1), -1))
+    local = np.where(rows.line, local, np.where(rows.where < Where.TIP, rows.where, -1))
+    edge = np.where(local >= 0, edges[k, local], -1)
     # At a vertex the crease through it is what is felt, whichever edge was met first.
-    at_vertex = (np.sort(barycentric, axis=1)[:, 1] < 1e-9) & (edge >= 0)
+    at_vertex = (np.sort(barycentric, axis=1)[:, 1] < 1e-9) & (edge >= 0) & ~rows.line
     crease = topology.crease_at[topology.corners[rows.face, np.argmax(barycentric, axis=1)]]
     return np.where(at_vertex & ~topology.sharp[edge] & (crease >= 0), crease, edge)
+
+
+def _runs_along(topology: Topology, rows: _Rows, edge: IntArray) -> BoolArray:
+    """Whether edges (k,) are parallel to the beams."""
+    ends = topology.vertices[topology.edge_vertices[edge]]
+    cosine = np.einsum("kj,kj->k", _unit(ends[:, 1] - ends[:, 0]), rows.along)
+    return np.asarray(np.abs(cosine) > np.cos(PARALLEL))
 
 
 def _normals(
@@ -280,8 +293,8 @@ def _normals(
     turned = np.einsum("kj,kj->k", smooth, facing) < 0.0
     smooth = np.where(turned[:, None], -smooth, smooth)
     if rows.radius <= 0.0:
-        corner = crease & ~told
-        facing = np.where(corner[:, None], _corner_normal(topology, rows, edge), facing)
+        corner = np.nonzero(crease & ~told & (rows.where < Where.TIP))[0]
+        facing[corner] = _corner_normal(topology, rows.along[corner], rows.motion[corner], edge[corner])
     by_end = (rows.where == Where.TIP) | (rows.where == Where.BASE)
     smooth = np.where(crease[:, None] & ~by_end[:, None], facing, smooth)
     normal = smooth - np.einsum("kj,kj->k", smooth, rows.along)[:, None] * rows.along
@@ -292,16 +305,15 @@ def _normals(
     return np.where(by_end[:, None], smooth, normal), smooth
 
 
-def _corner_normal(topology: Topology, rows: _Rows, edge: IntArray) -> FloatArray:
+def _corner_normal(topology: Topology, along: FloatArray, motion: FloatArray, edge: IntArray) -> FloatArray:
     """For creases along the beam: against the motion, but no further round than the crease's two sides face."""
     faces = topology.edge_faces[edge]
     faces = np.where(faces >= 0, faces, faces[:, :1])
     sides = topology.normals[faces]
-    back = -rows.motion
-    flip = np.einsum("kcj,kj->k", sides, back) < 0.0
-    sides = np.where(flip[:, None, None], -sides, sides)
-    back = _unit(back - np.einsum("kj,kj->k", back, rows.along)[:, None] * rows.along)
-    turn = np.cross(rows.along, back)
+    flip = np.einsum("kcj,kj->kc", sides, motion) > 0.0
+    sides = np.where(flip[..., None], -sides, sides)
+    back = _unit(np.einsum("kj,kj->k", motion, along)[:, None] * along - motion)
+    turn = np.cross(along, back)
     angle = np.arctan2(np.einsum("kcj,kj->kc", sides, turn), np.einsum("kcj,kj->kc", sides, back))
     nearest = np.clip(0.0, angle.min(axis=1), angle.max(axis=1))
     return np.asarray(np.cos(nearest)[:, None] * back + np.sin(nearest)[:, None] * turn)
@@ -334,7 +346,9 @@ def _curvatures(
     b = np.einsum("ki,kij,kj->k", first, shape, second)
     c = np.einsum("ki,kij,kj->k", second, shape, second)
     across = np.where(by_end, c, c - b * b * a / (a * a + FLAT * FLAT))
-    contact.lift[at] = np.where(crease | by_end | rows.line, 0.0, _lift(topology, rows, point, edge, shape, normal, smooth, a))
+    bent = ~(crease | rows.line | contact.touching[at]) & (rows.where < Where.TIP)
+    lift = _lift(topology, rows, point, edge, shape, normal, smooth, a)
+    contact.lift[at] = np.where(bent, lift, 0.0)
     start, stop = topology.vertices[topology.edge_vertices[edge]].transpose(1, 0, 2)
     side = _unit(stop - start)
     cosine = np.einsum("kj,kj->k", side, rows.along)
@@ -342,11 +356,10 @@ def _curvatures(
     share = _share(point, start, stop)
     curve = topology.curve[topology.edge_vertices[edge]]
     bend = (1.0 - share)[:, None] * curve[:, 0] + share[:, None] * curve[:, 1]
-    turn = -np.einsum("kj,kj->k", bend, normal)
-    along_beam = np.abs(cosine) > np.cos(PARALLEL)
-    contact.curvature_along[at] = np.where(
-        crease & along_beam, turn, np.where(crease | rows.line, np.inf, a)
-    )
+    turn = 0.0 - np.einsum("kj,kj->k", bend, normal)
+    along_beam = _runs_along(topology, rows, edge)
+    bluff = np.where(crease & along_beam, turn, np.where(crease, np.inf, a))
+    contact.curvature_along[at] = np.where(rows.line, np.inf, bluff)
     contact.curvature_across[at] = np.where(
         crease, np.where(along_beam, np.inf, turn / square), across
     )
@@ -368,7 +381,8 @@ def _lift(
     length = np.linalg.norm(side, axis=1)
     share = _share(point, ends[:, 0], ends[:, 1])
     sag = 0.5 * share * (1.0 - share) * np.einsum("ki,kij,kj->k", side, shape, side)
-    slope = np.abs(np.einsum("kj,kj->k", smooth, rows.along)) / np.einsum("kj,kj->k", smooth, normal)
+    upright = np.maximum(np.einsum("kj,kj->k", smooth, normal), NEARLY_PARALLEL)
+    slope = np.abs(np.einsum("kj,kj->k", smooth, rows.along)) / upright
     # The summit along the beam is where the surface turns level, but not farther than the neighbouring facet.
     step = np.minimum(slope / np.maximum(along, FLAT), length)
     return np.where(edge >= 0, sag + slope * step - 0.5 * along * step**2, 0.0)
