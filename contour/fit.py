@@ -53,7 +53,9 @@ _LOWER = np.array([np.log(2e-3), -np.inf, np.log(np.tan(np.deg2rad(0.3))), -0.3,
 _UPPER = np.array([np.log(1.0), np.inf, np.log(np.tan(np.deg2rad(45.0))), 4.0, 400.0])
 _MAX_STEP = np.array([0.5, 0.15, 0.7, 0.5, 5.0])
 _SETTLED = np.array([3e-5, 5e-4, 1e-2, 1e-2, 1e-1])
-_ITERATIONS = 12
+_ITERATIONS = 14
+_SMALL_GAIN = 0.01
+"""Fall of the cost (a chi^2) in one iteration that is not worth another."""
 
 DEPTH_SIGMA = 6e-6
 """How far from the edge of touch the machine may stand where no moment tells: its last step back [m]."""
@@ -119,10 +121,7 @@ class Estimate:
 def _forward(
     x: FloatArray, phi: FloatArray, path: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Moment angle and direction psi along ``path`` for states ``x``; both (p, k).
-
-    A negative R (concave along the beam, or the noise of an edge) is continued from R = 0 by the caller.
-    """
+    """Moment angle and direction psi along ``path`` for states ``x``; both (p, k). A negative R counts as none."""
     bend = x[:, BEND]
     across = np.where(np.abs(bend) > 1e-6, 1.0 / np.where(np.abs(bend) > 1e-6, bend, 1.0), np.inf)
     cycle = push_cycle(
@@ -174,45 +173,59 @@ class PushData:
         return PushData(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(PushData)})
 
 
-def _predict(data: PushData, x: FloatArray, antenna: Antenna) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Forces (P, 2B, 2), their derivatives (P, 2B, 2, 5), moment (P, 2B) and direction psi (P, 2B)."""
-    pushes, nodes = data.path.shape
-    stack = np.repeat(x[None], 5, axis=0)
-    for i, parameter in enumerate((NU, LN_TAN_ALPHA, R_ALONG, BEND)):
-        stack[i + 1, :, parameter] = np.where(parameter == R_ALONG, np.maximum(x[:, parameter], 0.0), x[:, parameter])
-        stack[i + 1, :, parameter] += _STEP[parameter]
-    distance = np.exp(x[:, LN_S])
-    path = np.maximum(data.path + (data.depth / distance)[:, None], 0.0)
-    moment, psi = _forward(stack.reshape(-1, 5), np.tile(data.phi, 5), np.tile(path, (5, 1)))
+_VARIED = (NU, LN_TAN_ALPHA, R_ALONG, BEND)
+
+
+def _response(data: PushData, x: FloatArray, antenna: Antenna) -> tuple[FloatArray, FloatArray]:
+    """Moment (v, P, 2B) in N m and direction psi of v variants of the states, (v, P, 5)."""
+    variants, pushes, _ = x.shape
+    nodes = data.path.shape[1]
+    distance = np.exp(x[..., LN_S])
+    path = np.maximum(data.path[None] + (data.depth[None] / distance)[..., None], 0.0)
+    moment, psi = _forward(x.reshape(-1, PARAMETERS), np.tile(data.phi, variants), path.reshape(-1, nodes))
     keep = np.arange(nodes) != nodes // 2
-    moment = moment.reshape(5, pushes, nodes)[:, :, keep]
-    psi = psi.reshape(5, pushes, nodes)[:, :, keep]
-    # Force in Pi, s f, of every variant: (5, P, 2B, 2).
     scale = antenna.stiffness3 / distance
-    vectors = (scale[:, None] * moment)[..., None] * np.stack((np.cos(psi), np.sin(psi)), axis=-1)
-    base = vectors[0]
-    unit = np.stack((np.cos(psi[0]), np.sin(psi[0])), axis=-1)
-    # The support carries part of the weight: its reaction changes as the beam turns in the field of gravity.
+    return scale[..., None] * moment.reshape(variants, pushes, nodes)[..., keep], psi.reshape(variants, pushes, nodes)[..., keep]
+
+
+def _derivatives(data: PushData, x: FloatArray, antenna: Antenna) -> FloatArray:
+    """(P, 2B, 2, 5): derivatives of the force with respect to the state."""
+    clipped = x.copy()
+    clipped[:, R_ALONG] = np.maximum(x[:, R_ALONG], 0.0)
+    stack = np.repeat(clipped[None], len(_VARIED) + 1, axis=0)
+    for i, parameter in enumerate(_VARIED):
+        stack[i + 1, :, parameter] += _STEP[parameter]
+    moment, psi = _response(data, stack, antenna)
+    vectors = moment[..., None] * np.stack((np.cos(psi), np.sin(psi)), axis=-1)
+    derivative = np.empty((*moment.shape[1:], 2, PARAMETERS))
+    derivative[..., LN_S] = -vectors[0]
+    for i, parameter in enumerate(_VARIED):
+        derivative[..., parameter] = (vectors[i + 1] - vectors[0]) / _STEP[parameter]
+    return derivative
+
+
+def _held_weight(data: PushData, distance: FloatArray, unit: FloatArray, antenna: Antenna) -> FloatArray:
+    """(P, 2B, 2) N m: the support carries part of the weight, and its reaction changes as the beam turns in gravity."""
     length = antenna.beam.length
     lever = (6.0 * length**2 - 4.0 * length * distance + distance**2) / 8.0
-    held = np.sum(data.gravity * unit, axis=-1)
-    weight = (-lever[:, None] * held)[..., None] * unit
-    derivative = np.empty((pushes, nodes - 1, 2, PARAMETERS))
-    derivative[..., LN_S] = -base
-    for i, parameter in enumerate((NU, LN_TAN_ALPHA, R_ALONG, BEND)):
-        derivative[..., parameter] = (vectors[i + 1] - base) / _STEP[parameter]
-    negative = np.minimum(x[:, R_ALONG], 0.0)[:, None, None]
-    return base + weight + negative * derivative[..., R_ALONG], derivative, scale[:, None] * moment[0], psi[0]
+    return np.asarray((-lever[:, None] * np.sum(data.gravity * unit, axis=-1))[..., None] * unit)
 
 
 def _normal_equations(
-    data: PushData, x: FloatArray, antenna: Antenna, error: ModelError
-) -> tuple[FloatArray, FloatArray]:
-    """Information with everything that belongs to one push eliminated: (P, 6, 6), the last row for the residual."""
-    force, derivative, moment, psi = _predict(data, x, antenna)
+    data: PushData, x: FloatArray, derivative: FloatArray, antenna: Antenna, error: ModelError
+) -> FloatArray:
+    """Information with everything that belongs to one push eliminated: (P, 6, 6), the last row for the residual.
+
+    ``derivative`` (P, 2B, 2, 5) may be that of a state nearby; the residual is always that of ``x``.
+    """
+    moments, psis = _response(data, x[None], antenna)
+    moment, psi = moments[0], psis[0]
     pushes, bins = moment.shape
     distance = np.exp(x[:, LN_S])
     unit = np.stack((np.cos(psi), np.sin(psi)), axis=-1)
+    force = moment[..., None] * unit + _held_weight(data, distance, unit, antenna)
+    # A negative R (concave along the beam, or the noise of an edge) is continued from R = 0.
+    force += np.minimum(x[:, R_ALONG], 0.0)[:, None, None] * derivative[..., R_ALONG]
     aside = np.stack((-unit[..., 1], unit[..., 0]), axis=-1)
     peak = moment.max(axis=1, keepdims=True)
     used = data.count > 0.0
@@ -249,7 +262,7 @@ def _normal_equations(
     inner = weighted @ nuisance + np.eye(7) / spread[:, :, None]
     cross = weighted @ columns
     information = (w * columns).transpose(0, 2, 1) @ columns - cross.transpose(0, 2, 1) @ np.linalg.solve(inner, cross)
-    return information, 2.0 * used.sum(axis=1)
+    return np.asarray(information)
 
 
 def _gather(values: FloatArray, contact: IntArray, n: int) -> FloatArray:
@@ -323,7 +336,8 @@ def fit(data: PushData, prior: Prior, start: FloatArray, antenna: Antenna, error
         local[active] = np.arange(active.size)
         rows = np.flatnonzero(local[data.contact] >= 0)
         part = data.take(rows, local[data.contact[rows]])
-        system, _ = _normal_equations(part, trial[active][part.contact], antenna, error)
+        state = trial[active][part.contact]
+        system = _normal_equations(part, state, _derivatives(part, state, antenna), antenna, error)
         total = _gather(system, part.contact, active.size)
         away = prior.mean[active] - trial[active]
         away = np.where(information[active] > 0.0, away, 0.0)
@@ -338,7 +352,7 @@ def fit(data: PushData, prior: Prior, start: FloatArray, antenna: Antenna, error
         damping[good] *= 0.2
         damping[active[~better]] *= 8.0
         settled = np.zeros(n, dtype=bool)
-        settled[good] = gain < 1e-3
+        settled[good] = gain < _SMALL_GAIN
         matrix = normal[active] + np.eye(5) * information[active][:, None, :]
         diagonal = np.einsum("nii->ni", matrix)
         diagonal = np.maximum(diagonal, 1e-9)
@@ -368,5 +382,5 @@ def expected_covariance(
         antenna: beam and sensor.
         error: of the forward model.
     """
-    system, _ = _normal_equations(data, x, antenna, error)
+    system = _normal_equations(data, x, _derivatives(data, x, antenna), antenna, error)
     return np.linalg.inv(information + system[:, :5, :5] + 1e-12 * np.eye(5))

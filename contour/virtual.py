@@ -166,14 +166,16 @@ class VirtualAntenna:
         stop = np.where(limited, np.int8(Stop.MOMENT), np.int8(Stop.ANGLE))
         if limited.any():
             course = self._replace(course, contact, phi, peak, np.flatnonzero(limited))
+        timeline = self.machine.push_timeline(peak)
+        samples = self._samples(course, timeline, which, key, clock, joints, phi, peak)
         if watch is not None:
-            peak, stopped = self._watched(course, watch, which, key, clock, joints, phi, peak)
+            peak, stopped = self._watched(samples, timeline, watch, peak)
             changed = np.flatnonzero(stopped)
             stop[changed] = np.int8(Stop.WATCH)
             if changed.size:
                 course = self._replace(course, contact, phi, peak, changed)
-        timeline = self.machine.push_timeline(peak)
-        samples = self._samples(course, timeline, which, key, clock, joints, phi, peak)
+                timeline = self.machine.push_timeline(peak)
+                samples = self._samples(course, timeline, which, key, clock, joints, phi, peak)
         reading = PushReading(
             which=which, phi=phi, angle=peak, touch=self.machine.encode(joints), stop=stop, samples=samples
         )
@@ -232,21 +234,11 @@ class VirtualAntenna:
         return -self.antenna.beam.gravity_moment * now + held[:, None] * unit
 
     def _watched(
-        self,
-        course: _Course,
-        watch: Watch,
-        which: IntArray,
-        key: NoiseKey,
-        clock: FloatArray,
-        joints: FloatArray,
-        phi: FloatArray,
-        peak: FloatArray,
+        self, samples: Samples, timeline: Timeline, watch: Watch, peak: FloatArray
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Peak angles after the watch has seen the out strokes chunk by chunk."""
-        timeline = self.machine.push_timeline(peak)
-        samples = self._samples(course, timeline, which, key, clock, joints, phi, peak)
-        out = np.bincount(timeline.run[timeline.stroke == Stroke.OUT], minlength=which.size)
-        peak, stopped = peak.copy(), np.zeros(which.size, dtype=bool)
+        out = np.bincount(timeline.run[timeline.stroke == Stroke.OUT], minlength=peak.size)
+        peak, stopped = peak.copy(), np.zeros(peak.size, dtype=bool)
         brake = self.machine.push_speed**2 / (2.0 * self.machine.turn_acceleration)
         for first in range(0, int(out.max(initial=0)), CHUNK):
             live = np.flatnonzero((out > first) & ~stopped)
