@@ -20,14 +20,24 @@ from contour.response import (
     compliance_ratio,
     refine,
     request,
+    request_tip,
 )
-from contour.rod import follow_rod
+from contour.rod import Body, SideBody, TipBody
+from contour.rod_path import follow_rod
 from contour.silhouette import ArcProfile, Profile, sampled
 from contour.slip import follow
 
-__all__ = ["RodCycleResponse", "RodPushResponse", "push_cycle", "push_cycle_profile", "push_response"]
+__all__ = [
+    "RodCycleResponse",
+    "RodPushResponse",
+    "push_cycle",
+    "push_cycle_profile",
+    "push_cycle_tip",
+    "push_response",
+]
 
 BoolArray = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
 
 STEPS_OUT = 16
 """Steps a push out is followed in, at least; twice as many move delta by 0.01 deg rms on the way back."""
@@ -124,10 +134,44 @@ def push_cycle_profile(
     return _answer(asked, sampled(*profile, asked.distance))
 
 
+def push_cycle_tip(
+    eps: ArrayLike,
+    thetas: ArrayLike,
+    *,
+    distance: ArrayLike,
+    friction: ArrayLike,
+    radius_along: ArrayLike,
+    radius_across: ArrayLike,
+    tilt: ArrayLike,
+) -> RodCycleResponse:
+    """What pushes with the tip are answered with: the rod is bent all along, and its end slides on the surface.
+
+    Args:
+        eps: pushing direction off the inner normal's part in the sensing plane [rad], (...).
+        thetas: angles of the base from touch, in their order [rad], (..., k).
+        distance: L [m], centre of rotation to tip, (...).
+        friction: mu, (...).
+        radius_along: radius of the surface in the plane of the beam and the normal [m], inf flat, (...).
+        radius_across: radius of the surface across it [m], inf flat, below 0 concave, (...).
+        tilt: angle chi of the outer normal out of the sensing plane, positive towards the base [rad], (...).
+    """
+    asked, lean, bend = request_tip(
+        eps, thetas, distance, friction, radius_along, radius_across, tilt, least=LEAST_ANGLE
+    )
+    profile = ArcProfile(asked.bend)
+    body = TipBody(asked.eps, asked.friction, lean, ArcProfile(bend), profile)
+    return _follow(asked, body, profile, asked.friction / np.cos(lean))
+
+
 def _answer(asked: PushRequest, profile: Profile) -> RodCycleResponse:
+    body = SideBody(asked.eps, asked.friction, asked.along, profile)
+    return _follow(asked, body, profile, asked.friction)
+
+
+def _follow(asked: PushRequest, body: Body, profile: Profile, friction: FloatArray) -> RodCycleResponse:
     path_angles, wanted = refine(asked.angles, STEPS_OUT)
-    reduced = follow(asked.eps, path_angles, asked.friction, profile)
-    path = follow_rod(asked.eps, path_angles, asked.friction, asked.along, profile, reduced)
+    reduced = follow(asked.eps, path_angles, friction, profile)
+    path = follow_rod(body, path_angles, reduced)
     scale = asked.distance[..., None]
     return RodCycleResponse(
         delta=as_asked(asked, wanted, path.delta),

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contour.errors import UsageError
 
-__all__ = ["CycleResponse", "PushRequest", "PushResponse", "as_asked", "refine", "request"]
+__all__ = ["CycleResponse", "PushRequest", "PushResponse", "as_asked", "refine", "request", "request_tip"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -24,6 +24,8 @@ ONSET = (0.3,)
 """Where to stop within the first step after a turn back: there friction swings through its whole cone."""
 MAX_ANGLE = 1.2
 """Largest push that the models take [rad]."""
+MAX_TILT = 1.4
+"""Largest tilt of a tip's surface out of the sensing plane [rad]."""
 LEAST_ANGLE = 1e-7
 """A push is never followed at less than this angle [rad]; its directions have their limits by then."""
 SHARPEST = 1e-9
@@ -166,6 +168,42 @@ def request(
         bend=flat[3],
         distance=s,
     )
+
+
+def request_tip(
+    eps: ArrayLike,
+    thetas: ArrayLike,
+    distance: ArrayLike,
+    friction: ArrayLike,
+    radius_along: ArrayLike,
+    radius_across: ArrayLike,
+    tilt: ArrayLike,
+    *,
+    least: float = LEAST_ANGLE,
+) -> tuple[PushRequest, FloatArray, FloatArray]:
+    """The same for a tip: the request (its ``along`` empty of meaning), tilt (n,) and s/radius_along (n,)."""
+    chi, radius = np.asarray(tilt, dtype=np.float64), np.asarray(radius_along, dtype=np.float64)
+    if not np.all(np.abs(chi) <= MAX_TILT):
+        raise UsageError(
+            f"tilt must lie within {MAX_TILT} rad: a tip pushed nearer to its axis is not felt; approach it aslant"
+        )
+    if np.any(np.isnan(radius)):
+        raise UsageError("radius_along is not a number: give metres, inf for a flat surface")
+    base = np.asarray(distance, dtype=np.float64) + 0.0 * chi
+    asked = request(
+        eps,
+        thetas,
+        base + 0.0 * np.where(np.isinf(radius), 0.0, radius),
+        friction,
+        0.0,
+        radius_across,
+        least=least,
+    )
+    shape = asked.distance.shape
+    near = SHARPEST * asked.distance
+    sharp = np.where(np.abs(radius) < near, near, radius)
+    bend = np.broadcast_to(asked.distance / sharp, shape).ravel()
+    return asked, np.broadcast_to(chi, shape).ravel(), bend
 
 
 def as_asked(asked: PushRequest, wanted: NDArray[np.int64], values: NDArray[Number]) -> NDArray[Number]:

@@ -1,4 +1,4 @@
-"""The exact rod on a doubly curved body, followed step by step through a push with Coulomb friction.
+"""The exact rod in contact: with its side on a doubly curved body, or with its tip on a tilted one.
 
 The body's surface is its silhouette swept with the radius R along the beam: with e_t, e_n, e_y as in contour.slip,
 a profile point c(a) with normal n(a), and the angle zeta by which the contact's normal leans from the sensing plane
@@ -9,50 +9,32 @@ towards the base,
 The rod touches where its end tangent is perpendicular to n(a, zeta); it is a planar elastica (contour.planar_elastica)
 in the plane of the base tangent t0 and of P. That leaves three unknowns, a, zeta and eta (the angle from end tangent
 to force), and three equations: the rod reaches P, and Coulomb's law for the two components of friction with the slip
-of the rod's material point, dP - t_end dl. Sticking is part of the law. Lengths are in units of s.
+of the rod's material point, dP - t_end dl (contour.rod_path solves them). Lengths are in units of s.
+
+A tip has no such tangency, and all of the rod is bent: l = s. Its surface's axes are tilted by chi towards the base,
+e_n' = cos chi e_n - sin chi e_y, e_y' = cos chi e_y + sin chi e_n; the surface is the profile in (e_t, e_n') swept along
+a second one in the plane of e_n' and e_y', and the tip is a material point, whose slip is dP.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contour.planar_elastica import base_curvature, shape
-from contour.silhouette import Profile
-from contour.slip import Path, pace
+from contour.planar_elastica import shape
+from contour.silhouette import ArcProfile, Profile
 
-__all__ = ["RodPath", "follow_rod"]
+__all__ = ["Body", "Contact", "Memory", "Pose", "SideBody", "TipBody"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-CHUNK = 256
-"""Rows worked on at once; the Jacobian's four evaluations are stacked beside them."""
-ITERATIONS = 12
-"""Newton steps before a row is followed in smaller steps."""
-TOLERANCE = 1e-6
-"""Newton steps below this, in theta or rad, are the last: the next would be 1e-4 of it or less."""
-DIFFERENCE = 1e-5
-"""Differences of the Jacobian, in theta or rad: truncation 1e-5, rounding 1e-8 for theta of 1 mrad."""
-SPLIT = 8
-"""Parts in which a step that does not settle is taken."""
 MAX_LEAN = 1.4
 """Lean of the contact's normal out of the sensing plane beyond which the rod has left the body [rad]."""
-ROUND = 0.7
-"""Cosine of the turn along the profile from which on a contact that cannot be found has left the body."""
-LONGEST = 0.5
-"""No Newton step is longer, in theta or rad."""
-LEAST_GRIP = 1e-9
-"""Friction angles [rad] below this are taken as this: no force can tell."""
-SECULAR_STEPS = 6
-"""Newton steps on the amount of slip."""
-
-
-Angles = tuple[FloatArray, FloatArray, FloatArray]
-"""theta at the end of a step, the step, and the step before [rad]."""
+BEND_STEPS = 6
+"""Corrections of a tip contact's bend, each 1/5 of the bend squared of the one before."""
 
 
 class Contact(NamedTuple):
@@ -77,61 +59,6 @@ class Memory(NamedTuple):
     slip_lon: FloatArray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RodPath:
-    """A push followed through k angles, n at a time, arrays (k, n), lengths in s."""
-
-    delta: FloatArray
-    """phi - psi [rad], 0 .. 2 pi."""
-    moment_angle: FloatArray
-    """|M| s/(3 EI) [rad]."""
-    slide: FloatArray
-    """a, positive towards e_t."""
-    lean: FloatArray
-    """zeta [rad]."""
-    arc_length: FloatArray
-    """l."""
-    slipped_off: BoolArray
-    """The contact has left the body; the values are those of the last contact."""
-    converged: BoolArray
-    """All equations hold to tolerance up to here."""
-
-
-class Hint(NamedTuple):
-    """What the reduced rod says of a step's end."""
-
-    b: FloatArray
-    along: FloatArray
-    slipped: BoolArray
-
-    def rows(self, index: NDArray[np.int64]) -> Hint:
-        """The same for a selection."""
-        return Hint(self.b[index], self.along[index], self.slipped[index])
-
-
-class Body(NamedTuple):
-    """What stays the same along the push for some rows."""
-
-    sin_eps: FloatArray
-    cos_eps: FloatArray
-    friction: FloatArray
-    grip: FloatArray
-    """Sine of the friction angle: largest friction of a unit force."""
-    radius: FloatArray
-    profile: Profile
-
-    def rows(self, index: NDArray[np.int64]) -> Body:
-        """The same for a selection."""
-        return Body(
-            self.sin_eps[index],
-            self.cos_eps[index],
-            self.friction[index],
-            self.grip[index],
-            self.radius[index],
-            self.profile.rows(index),
-        )
-
-
 class Pose(NamedTuple):
     """Everything that follows from the unknowns at one angle of the base."""
 
@@ -152,348 +79,189 @@ class Pose(NamedTuple):
     delta: FloatArray
 
 
-def _pose(body: Body, theta: FloatArray, c: Contact, before: Memory, *, full: bool) -> Pose:
-    """Geometry, elastica and friction at the unknowns; delta only when ``full``."""
-    sine, cosine = np.sin(theta), np.cos(theta)
-    t_t, t_n, t_y = -sine * body.sin_eps, -sine * body.cos_eps, cosine
-    along, out, cos, sin, curvature, _ = body.profile.at(c.b)
-    sin_z, cos_z = np.sin(c.zeta), np.cos(c.zeta)
-    drop = -2.0 * np.sin(0.5 * c.zeta) ** 2 * body.radius  # R (cos zeta - 1)
-    p_t, p_n, p_y = along + drop * sin, out + drop * cos, 1.0 - body.radius * sin_z
-    ahead = p_t * t_t + p_n * t_n + p_y * t_y
-    w_t, w_n, w_y = p_t - ahead * t_t, p_n - ahead * t_n, p_y - ahead * t_y
-    aside = np.sqrt(w_t * w_t + w_n * w_n + w_y * w_y)
-    normal_d = (cos_z * (w_t * sin + w_n * cos) - sin_z * w_y) / aside
-    normal_0 = cos_z * (t_t * sin + t_n * cos) - sin_z * t_y
-    bend = np.arctan2(-normal_0, normal_d)
-    rod = shape(bend, c.eta)
-    scale = ahead / rod.ahead
-    length = scale * rod.length
-    sin_b, cos_b = np.sin(bend), np.cos(bend)
-    # Components along e_a and e_zeta of base tangent and bending direction, then of end tangent and force.
-    lat_0, lat_d = t_t * cos - t_n * sin, (w_t * cos - w_n * sin) / aside
-    lon_0 = -sin_z * (t_t * sin + t_n * cos) - cos_z * t_y
-    lon_d = (-sin_z * (w_t * sin + w_n * cos) - cos_z * w_y) / aside
-    end_lat, end_lon = cos_b * lat_0 + sin_b * lat_d, cos_b * lon_0 + sin_b * lon_d
-    sin_e, cos_e = np.sin(c.eta), np.cos(c.eta)
-    force_lat = cos_e * end_lat + sin_e * (cos_b * lat_d - sin_b * lat_0)
-    force_lon = cos_e * end_lon + sin_e * (cos_b * lon_d - sin_b * lon_0)
-    force_n = sin_e * (cos_b * normal_d - sin_b * normal_0)
-    d_l = length - before.length
-    slip_lat = (1.0 + curvature * drop) * body.profile.chord(c.b, before.b) - end_lat * d_l
-    slip_lon = body.radius * (c.zeta - before.zeta) - end_lon * d_l
-    towards = -(body.sin_eps * p_t + body.cos_eps * p_n)
-    across = body.sin_eps * p_n - body.cos_eps * p_t
-    return Pose(
-        gap=(aside - scale * rod.aside) / theta,
-        slip_lat=slip_lat - before.slip_lat,
-        slip_lon=slip_lon - before.slip_lon,
-        force_lat=force_lat,
-        force_lon=force_lon,
-        force_n=force_n,
-        length=length,
-        bend=bend,
-        root_force=np.sqrt(2.0 * np.maximum(bend, 0.0)) / scale,
-        delta=np.pi + np.arctan2(across, sine * p_y - cosine * towards) if full else aside,
-    )
+class Body(Protocol):
+    """What some rows touch, and what stays the same along their push."""
+
+    friction: FloatArray
+    """mu."""
+    grip: FloatArray
+    """Sine of the friction angle: largest friction of a unit force."""
+    profile: Profile
+    """The silhouette in the sensing plane."""
+
+    def pose(self, theta: FloatArray, c: Contact, before: Memory) -> Pose:
+        """Geometry, elastica and friction at the unknowns."""
+        ...
+
+    def guess(self, theta: FloatArray, b: FloatArray, along: FloatArray) -> Contact:
+        """A contact near b, friction with its share ``along`` along the beam."""
+        ...
+
+    def holds(self, c: Contact) -> BoolArray:
+        """Whether the body is there."""
+        ...
+
+    def rows(self, index: NDArray[np.int64]) -> Body:
+        """The same for a selection."""
+        ...
 
 
-def _newton(body: Body, theta: FloatArray, c: Contact, before: Memory) -> tuple[Contact, FloatArray]:
-    """A better contact, and how far it moved: shares of theta for b and zeta, radians for eta.
+class SideBody:
+    """Bodies that the rod's side touches."""
 
-    Geometry and elastica are smooth in the unknowns and are linearised (Jacobian by differences); Coulomb's law is
-    not, and is solved as it stands on that linearisation, with the two slips as unknowns.
-    """
-    h = DIFFERENCE * theta
-    _, _, _, _, _, speed = body.profile.at(c.b)
-    p = _pose(
-        body,
-        theta,
-        Contact(
-            np.stack((c.b, c.b + h * speed, c.b, c.b)),
-            np.stack((c.zeta, c.zeta, c.zeta + h, c.zeta)),
-            np.stack((c.eta, c.eta, c.eta, c.eta + DIFFERENCE)),
-        ),
-        before,
-        full=False,
-    )
-    steps = (h, h, np.full_like(h, DIFFERENCE))
-    values = (p.gap, p.slip_lat, p.slip_lon, p.force_lat, p.force_lon)
-    here = [v[0] for v in values]
-    column = [[(v[j] - v[0]) / steps[j - 1] for v in values] for j in (1, 2, 3)]
-    # Rows of the inverse of d(gap, slips)/d(b, zeta, eta).
-    cross = [_cross(column[1], column[2]), _cross(column[2], column[0]), _cross(column[0], column[1])]
-    det = column[0][0] * cross[0][0] + column[0][1] * cross[0][1] + column[0][2] * cross[0][2]
-    inverse = [[v / det for v in row] for row in cross]
-    # Force as a linear function of the slips where the gap is closed.
-    stiff = [[sum(column[i][3 + f] * inverse[i][g] for i in range(3)) for g in range(3)] for f in range(2)]
-    force = [
-        here[3 + f] - stiff[f][0] * here[0] - stiff[f][1] * here[1] - stiff[f][2] * here[2] for f in range(2)
-    ]
-    slip = _coulomb(
-        (stiff[0][1], stiff[0][2], stiff[1][1], stiff[1][2]),
-        (force[0], force[1]),
-        body.grip,
-        (here[1], here[2]),
-    )
-    target = (-here[0], slip[0] - here[1], slip[1] - here[2])
-    move = [row[0] * target[0] + row[1] * target[1] + row[2] * target[2] for row in inverse]
-    far = np.maximum(np.maximum(np.abs(move[0]), np.abs(move[1])) / theta, np.abs(move[2]))
-    cut = np.minimum(1.0, LONGEST / np.maximum(far, LONGEST))
-    return Contact(
-        c.b + move[0] * speed * cut,
-        c.zeta + move[1] * cut,
-        np.clip(c.eta + move[2] * cut, 0.05, np.pi - 0.05),
-    ), far
+    def __init__(self, eps: FloatArray, friction: FloatArray, radius: FloatArray, profile: Profile) -> None:
+        self.eps = eps
+        self.sin_eps, self.cos_eps = np.sin(eps), np.cos(eps)
+        self.friction = friction
+        self.grip = friction / np.hypot(1.0, friction)
+        self.radius = radius
+        self.profile = profile
 
-
-def _coulomb(
-    stiff: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    force: tuple[FloatArray, FloatArray],
-    grip: FloatArray,
-    slip: tuple[FloatArray, FloatArray],
-) -> tuple[FloatArray, FloatArray]:
-    """Slips that satisfy Coulomb's law where the friction force is force + stiff slip.
-
-    Sticking, slip = 0, where |force| <= grip; else force + stiff slip = -grip slip/|slip|, that is
-    slip = -p (1 + p stiff)^-1 force with |(1 + p stiff)^-1 force| = grip. The inverse of that norm is a concave,
-    rising function of p, so that Newton's steps come to its root from below, wherever they start.
-    """
-    a, b, c, d = stiff
-    trace, det = a + d, a * d - b * c
-    p = np.sqrt(slip[0] ** 2 + slip[1] ** 2) / np.maximum(grip, LEAST_GRIP)
-    limit = np.maximum(grip, LEAST_GRIP)
-    for _ in range(SECULAR_STEPS):
-        x, y, scale = _shifted(stiff, force, trace, det, p)
-        norm2 = x * x + y * y
-        norm = np.sqrt(norm2)
-        # d(1 + p A)^-1 f/dp = -(1 + p A)^-1 A (1 + p A)^-1 f.
-        g_x, g_y = a * x + b * y, c * x + d * y
-        rate_x, rate_y = (
-            ((1.0 + p * d) * g_x - p * b * g_y) / scale,
-            ((1.0 + p * a) * g_y - p * c * g_x) / scale,
+    def pose(self, theta: FloatArray, c: Contact, before: Memory) -> Pose:
+        """Geometry, elastica and friction at the unknowns."""
+        sine, cosine = np.sin(theta), np.cos(theta)
+        t_t, t_n, t_y = -sine * self.sin_eps, -sine * self.cos_eps, cosine
+        along, out, cos, sin, curvature, _ = self.profile.at(c.b)
+        sin_z, cos_z = np.sin(c.zeta), np.cos(c.zeta)
+        drop = -2.0 * np.sin(0.5 * c.zeta) ** 2 * self.radius  # R (cos zeta - 1)
+        p_t, p_n, p_y = along + drop * sin, out + drop * cos, 1.0 - self.radius * sin_z
+        ahead = p_t * t_t + p_n * t_n + p_y * t_y
+        w_t, w_n, w_y = p_t - ahead * t_t, p_n - ahead * t_n, p_y - ahead * t_y
+        aside = np.sqrt(w_t * w_t + w_n * w_n + w_y * w_y)
+        normal_d = (cos_z * (w_t * sin + w_n * cos) - sin_z * w_y) / aside
+        normal_0 = cos_z * (t_t * sin + t_n * cos) - sin_z * t_y
+        bend = np.arctan2(-normal_0, normal_d)
+        rod = shape(bend, c.eta)
+        scale = ahead / rod.ahead
+        length = scale * rod.length
+        sin_b, cos_b = np.sin(bend), np.cos(bend)
+        # Components along e_a and e_zeta of base tangent and bending direction, then of end tangent and force.
+        lat_0, lat_d = t_t * cos - t_n * sin, (w_t * cos - w_n * sin) / aside
+        lon_0 = -sin_z * (t_t * sin + t_n * cos) - cos_z * t_y
+        lon_d = (-sin_z * (w_t * sin + w_n * cos) - cos_z * w_y) / aside
+        end_lat, end_lon = cos_b * lat_0 + sin_b * lat_d, cos_b * lon_0 + sin_b * lon_d
+        sin_e, cos_e = np.sin(c.eta), np.cos(c.eta)
+        force_lat = cos_e * end_lat + sin_e * (cos_b * lat_d - sin_b * lat_0)
+        force_lon = cos_e * end_lon + sin_e * (cos_b * lon_d - sin_b * lon_0)
+        force_n = sin_e * (cos_b * normal_d - sin_b * normal_0)
+        d_l = length - before.length
+        slip_lat = (1.0 + curvature * drop) * self.profile.chord(c.b, before.b) - end_lat * d_l
+        slip_lon = self.radius * (c.zeta - before.zeta) - end_lon * d_l
+        towards = -(self.sin_eps * p_t + self.cos_eps * p_n)
+        across = self.sin_eps * p_n - self.cos_eps * p_t
+        return Pose(
+            gap=(aside - scale * rod.aside) / theta,
+            slip_lat=slip_lat - before.slip_lat,
+            slip_lon=slip_lon - before.slip_lon,
+            force_lat=force_lat,
+            force_lon=force_lon,
+            force_n=force_n,
+            length=length,
+            bend=bend,
+            root_force=np.sqrt(2.0 * np.maximum(bend, 0.0)) / scale,
+            delta=np.pi + np.arctan2(across, sine * p_y - cosine * towards),
         )
-        rate = x * rate_x + y * rate_y
-        p = np.maximum(p + (norm / limit - 1.0) * norm2 / rate, 0.0)
-    x, y, _ = _shifted(stiff, force, trace, det, p)
-    return -p * x, -p * y
+
+    def guess(self, theta: FloatArray, b: FloatArray, along: FloatArray) -> Contact:
+        """A contact near b: lean by the small-angle rod, friction with its share ``along`` along the beam.
+
+        A rod with an end force bends by 3/2 of the slope of its chord; with the drop R zeta^2/2 and the shift R zeta of
+        the touching point this makes a quadratic equation for zeta.
+        """
+        sine, cosine = np.sin(theta), np.cos(theta)
+        out_c, out_n, cos, sin, _, _ = self.profile.at(b)
+        lean_0 = sine * (self.sin_eps * sin + self.cos_eps * cos)
+        ahead = cosine - sine * (self.sin_eps * out_c + self.cos_eps * out_n)
+        depth = out_c * sin + out_n * cos + ahead * lean_0
+        linear = ahead - self.radius * lean_0
+        constant = 1.5 * depth - lean_0 * ahead
+        root = np.sqrt(np.maximum(linear * linear - self.radius * constant, 0.0))
+        return Contact(b, 2.0 * constant / (linear + root), 0.5 * np.pi - np.arctan(self.friction * along))
+
+    def holds(self, c: Contact) -> BoolArray:
+        """Whether c is on the profile and not leant over."""
+        return np.asarray(self.profile.within(c.b) & (np.abs(c.zeta) < MAX_LEAN))
+
+    def rows(self, index: NDArray[np.int64]) -> SideBody:
+        """The same for a selection."""
+        return SideBody(self.eps[index], self.friction[index], self.radius[index], self.profile.rows(index))
 
 
-def _shifted(
-    stiff: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    force: tuple[FloatArray, FloatArray],
-    trace: FloatArray,
-    det: FloatArray,
-    p: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(1 + p stiff)^-1 force, and the determinant."""
-    a, b, c, d = stiff
-    scale = 1.0 + p * trace + p * p * det
-    x = ((1.0 + p * d) * force[0] - p * b * force[1]) / scale
-    y = ((1.0 + p * a) * force[1] - p * c * force[0]) / scale
-    return x, y, scale
+class TipBody:
+    """Bodies that the rod's tip touches; the unknown ``zeta`` is here the parameter of the profile along the beam."""
 
+    def __init__(
+        self, eps: FloatArray, friction: FloatArray, tilt: FloatArray, ridge: ArcProfile, profile: Profile
+    ) -> None:
+        self.eps = eps
+        self.sin_eps, self.cos_eps = np.sin(eps), np.cos(eps)
+        self.friction = friction
+        self.grip = friction / np.hypot(1.0, friction)
+        self.tilt = tilt
+        self.sin_tilt, self.cos_tilt = np.sin(tilt), np.cos(tilt)
+        self.ridge = ridge
+        self.profile = profile
 
-def _cross(a: list[FloatArray], b: list[FloatArray]) -> list[FloatArray]:
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    def pose(self, theta: FloatArray, c: Contact, before: Memory) -> Pose:
+        """Geometry, elastica and friction at the unknowns."""
+        sine, cosine = np.sin(theta), np.cos(theta)
+        t_t, t_n, t_y = -sine * self.sin_eps, -sine * self.cos_eps, cosine
+        across, ridge = self.profile.at(c.b), self.ridge.at(c.zeta)
+        # Components (t, n', y') on the tilted axes, then (t, n, y).
+        sunk = across.out + ridge.out * across.cos
+        p_t = across.along + ridge.out * across.sin
+        p_n = self.cos_tilt * sunk + self.sin_tilt * ridge.along
+        p_y = 1.0 - self.sin_tilt * sunk + self.cos_tilt * ridge.along
+        ahead = p_t * t_t + p_n * t_n + p_y * t_y
+        w = (p_t - ahead * t_t, p_n - ahead * t_n, p_y - ahead * t_y)
+        aside = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+        wanted = aside / ahead
+        bend = 1.5 * np.arctan(wanted)
+        for _ in range(BEND_STEPS):
+            rod = shape(bend, c.eta)
+            bend = bend * wanted * rod.ahead / rod.aside
+        rod = shape(bend, c.eta)
+        scale = ahead / rod.ahead
+        length = scale * rod.length
+        turn = bend + c.eta
+        ahead_share, aside_share = np.cos(turn), np.sin(turn) / aside
+        force = tuple(ahead_share * t + aside_share * d for t, d in zip((t_t, t_n, t_y), w, strict=True))
+        force_lift = self.cos_tilt * force[1] - self.sin_tilt * force[2]
+        force_up = force[0] * across.sin + force_lift * across.cos
+        force_back = self.cos_tilt * force[2] + self.sin_tilt * force[1]
+        widen = 1.0 + across.curvature * ridge.out
+        along_e = -(self.sin_eps * p_t + self.cos_eps * p_n)
+        beside_e = self.sin_eps * p_n - self.cos_eps * p_t
+        return Pose(
+            gap=(length - 1.0) / theta,
+            slip_lat=widen * self.profile.chord(c.b, before.b) - before.slip_lat,
+            slip_lon=self.ridge.chord(c.zeta, before.zeta) - before.slip_lon,
+            force_lat=force[0] * across.cos - force_lift * across.sin,
+            force_lon=force_back * ridge.cos - force_up * ridge.sin,
+            force_n=force_up * ridge.cos + force_back * ridge.sin,
+            length=length,
+            bend=bend,
+            root_force=np.sqrt(2.0 * np.maximum(bend, 0.0)) / scale,
+            delta=np.pi + np.arctan2(beside_e, sine * p_y - cosine * along_e),
+        )
 
+    def guess(self, theta: FloatArray, b: FloatArray, along: FloatArray) -> Contact:
+        """A contact near b where the tip is drawn in by a tenth of the bend squared, friction against it."""
+        slope = theta * self.cos_eps
+        drawn = -(0.1 * slope * slope + 0.5 * b * b) / self.cos_tilt
+        lean = 0.5 * slope - self.tilt
+        return Contact(b, drawn, 0.5 * np.pi - lean - np.arctan(self.friction * along))
 
-def _solve(body: Body, theta: FloatArray, guess: Contact, before: Memory) -> tuple[Contact, BoolArray]:
-    """The contact at the end of one step, and whether it was found."""
-    b, zeta, eta = (v.copy() for v in guess)
-    good = np.zeros(theta.shape, dtype=np.bool_)
-    active = np.arange(theta.size)
-    part, angle, memory = body, theta, before
-    for _ in range(ITERATIONS):
-        now = Contact(b[active], zeta[active], eta[active])
-        new, far = _newton(part, angle, now, memory)
-        with np.errstate(invalid="ignore"):
-            done = far <= TOLERANCE
-        finite = np.isfinite(new.b) & np.isfinite(new.zeta) & np.isfinite(new.eta)
-        settled = active[done]
-        good[settled] = True
-        b[settled], zeta[settled], eta[settled] = new.b[done], new.zeta[done], new.eta[done]
-        going = ~done & finite
-        if not going.any():
-            break
-        keep = active[going]
-        b[keep], zeta[keep], eta[keep] = new.b[going], new.zeta[going], new.eta[going]
-        if keep.size < active.size:
-            active = keep
-            part, angle = body.rows(active), theta[active]
-            memory = Memory(*(v[active] for v in before))
-    return Contact(b, zeta, eta), good
+    def holds(self, c: Contact) -> BoolArray:
+        """Whether c is on both profiles."""
+        return np.asarray(self.profile.within(c.b) & self.ridge.within(c.zeta))
 
-
-def follow_rod(
-    eps: FloatArray,
-    thetas: FloatArray,
-    friction: FloatArray,
-    radius: FloatArray,
-    profile: Profile,
-    reduced: Path,
-) -> RodPath:
-    """Follow n pushes through k angles.
-
-    Args:
-        eps: pushing direction off the inner normal [rad], (n,).
-        thetas: angles of the base from touch [rad], (k, n), all above zero.
-        friction: mu, (n,).
-        radius: R, (n,), in units of s.
-        profile: the silhouettes, n of them, lengths in units of s.
-        reduced: the reduced rod on the same path, from whose increments each step starts.
-    """
-    size = thetas.shape
-    fields = {name: np.zeros(size) for name in ("delta", "moment_angle", "slide", "lean", "arc_length")}
-    slipped = np.zeros(size, dtype=np.bool_)
-    converged = np.zeros(size, dtype=np.bool_)
-    for first in range(0, size[1], CHUNK):
-        part = slice(first, min(first + CHUNK, size[1]))
-        index = np.arange(part.start, part.stop)
-        mu = friction[part]
-        grip = mu / np.hypot(1.0, mu)
-        body = Body(np.sin(eps[part]), np.cos(eps[part]), mu, grip, radius[part], profile.rows(index))
-        walk = _Walk(body, {k: v[:, part] for k, v in fields.items()})
-        for step, theta in enumerate(thetas[:, part]):
-            hint = Hint(
-                reduced.parameter[step, part], reduced.along[step, part], reduced.slipped_off[step, part]
-            )
-            walk.go(step, theta, hint)
-            slipped[step, part] = walk.slipped
-            converged[step, part] = walk.converged
-    return RodPath(slipped_off=slipped, converged=converged, **fields)
-
-
-class _Walk:
-    """The state of some rows on their way through a push; rows that slip off or fail stay where they were."""
-
-    def __init__(self, body: Body, out: dict[str, FloatArray]) -> None:
-        n = body.friction.size
-        self.body = body
-        self.out = out
-        self.live = np.arange(n)
-        self.last = Memory(np.zeros(n), np.zeros(n), np.ones(n), np.zeros(n), np.zeros(n))
-        self.start: dict[str, FloatArray | float] = {"delta": np.pi, "arc_length": 1.0}
-        self.hint_b = np.zeros(n)
-        self.theta = np.zeros(n)
-        self.moved = np.zeros(n)
-        self.slipped = np.zeros(n, dtype=np.bool_)
-        self.converged = np.ones(n, dtype=np.bool_)
-
-    def go(self, step: int, theta_all: FloatArray, hint_all: Hint) -> None:
-        """One step of all rows."""
-        self.start.setdefault("moment_angle", theta_all)
-        for name, values in self.out.items():
-            if step:
-                values[step] = values[step - 1]
-            elif name in self.start:
-                values[0] = self.start[name]
-        theta, hint = theta_all[self.live], hint_all.rows(self.live)
-        moved = theta - self.theta
-        angles = (theta, moved, self.moved)
-        with np.errstate(all="ignore"):
-            guess = _beside(self.body, theta, self.last.b + (hint.b - self.hint_b), hint.along)
-            new, after, pose, found = _advance(self.body, angles, guess, self.last)
-            lost = np.flatnonzero(~found & ~hint.slipped)
-            if lost.size:
-                _replace((new, after, pose, found), lost, self._rescue(lost, angles, hint, guess))
-            rows = self.live[found]
-            self._write(step, rows, new, pose, found)
-        lost = np.flatnonzero(~found)
-        if lost.size:
-            _, _, cos, _, _, _ = self.body.profile.rows(lost).at(self.last.b[lost])
-            off = hint.slipped[lost] | (cos < ROUND)
-            self.slipped[self.live[lost[off]]] = True
-            self.converged[self.live[lost[~off]]] = False
-            keep = np.flatnonzero(found)
-            self.live, self.body = self.live[keep], self.body.rows(keep)
-            after = Memory(*(v[keep] for v in after))
-            hint, theta, moved = hint.rows(keep), theta[keep], moved[keep]
-        self.last, self.hint_b, self.theta, self.moved = after, hint.b, theta, moved
-
-    def _write(self, step: int, rows: NDArray[np.int64], new: Contact, pose: Pose, found: BoolArray) -> None:
-        moment = base_curvature(pose.bend, new.eta, pose.root_force) / 3.0
-        values = (pose.delta, moment, self.body.profile.arc(new.b), new.zeta, pose.length)
-        for name, value in zip(("delta", "moment_angle", "slide", "lean", "arc_length"), values, strict=True):
-            self.out[name][step, rows] = value[found]
-
-    def _rescue(
-        self, lost: NDArray[np.int64], angles: Angles, hint: Hint, guess: Contact
-    ) -> tuple[Contact, Memory, Pose, BoolArray]:
-        """Rows that did not settle: the jump that the reduced rod makes, then the step in parts."""
-        body, last = self.body.rows(lost), Memory(*(v[lost] for v in self.last))
-        part = (angles[0][lost], angles[1][lost], angles[2][lost])
-        near = _beside(body, part[0], hint.b[lost], hint.along[lost])
-        result = _advance(body, part, near, last)
-        still = np.flatnonzero(~result[3])
-        if still.size:
-            aim = Contact(*(v[lost[still]] for v in guess))
-            again = _split(
-                body.rows(still),
-                (part[0][still], part[1][still], part[2][still]),
-                Memory(*(v[still] for v in last)),
-                aim,
-            )
-            _replace(result, still, again)
-        return result
-
-
-def _replace(
-    whole: tuple[Contact, Memory, Pose, BoolArray],
-    index: NDArray[np.int64],
-    part: tuple[Contact, Memory, Pose, BoolArray],
-) -> None:
-    """Put the rows of ``part`` at ``index`` of ``whole``."""
-    for old, new in zip(whole[:3], part[:3], strict=True):
-        for target, source in zip(old, new, strict=True):
-            target[index] = source
-    whole[3][index] = part[3]
-
-
-def _beside(body: Body, theta: FloatArray, b: FloatArray, along: FloatArray) -> Contact:
-    """A contact near b: lean by the small-angle rod, friction with its share ``along`` along the beam.
-
-    A rod with an end force bends by 3/2 of the slope of its chord; with the drop R zeta^2/2 and the shift R zeta of
-    the touching point this makes a quadratic equation for zeta.
-    """
-    sine, cosine = np.sin(theta), np.cos(theta)
-    out_c, out_n, cos, sin, _, _ = body.profile.at(b)
-    lean_0 = sine * (body.sin_eps * sin + body.cos_eps * cos)
-    ahead = cosine - sine * (body.sin_eps * out_c + body.cos_eps * out_n)
-    depth = out_c * sin + out_n * cos + ahead * lean_0
-    linear = ahead - body.radius * lean_0
-    constant = 1.5 * depth - lean_0 * ahead
-    root = np.sqrt(np.maximum(linear * linear - body.radius * constant, 0.0))
-    return Contact(b, 2.0 * constant / (linear + root), 0.5 * np.pi - np.arctan(body.friction * along))
-
-
-def _advance(
-    body: Body, angles: Angles, guess: Contact, last: Memory
-) -> tuple[Contact, Memory, Pose, BoolArray]:
-    """One step: the contact, what friction remembers of it, all that follows, and whether it was found."""
-    theta, moved, moved_before = angles
-    w = pace(moved, moved_before)
-    carry = w * w / (1.0 + 2.0 * w)
-    before = last._replace(slip_lat=carry * last.slip_lat, slip_lon=carry * last.slip_lon)
-    new, found = _solve(body, theta, guess, before)
-    pose = _pose(body, theta, new, before, full=True)
-    found &= (pose.force_n > 0.0) & body.profile.within(new.b) & (np.abs(new.zeta) < MAX_LEAN)
-    after = Memory(
-        new.b, new.zeta, pose.length, pose.slip_lat + before.slip_lat, pose.slip_lon + before.slip_lon
-    )
-    return new, after, pose, found
-
-
-def _split(body: Body, angles: Angles, last: Memory, aim: Contact) -> tuple[Contact, Memory, Pose, BoolArray]:
-    """The same step in SPLIT parts."""
-    theta, moved, moved_before = angles
-    found = np.ones(theta.size, dtype=np.bool_)
-    at = Contact(last.b, last.zeta, aim.eta)
-    for part in range(1, SPLIT + 1):
-        share = 1.0 / (SPLIT - part + 1)
-        near = Contact(*(s + share * (a - s) for s, a in zip(at, aim, strict=True)))
-        here = theta - moved * (1.0 - part / SPLIT)
-        at, last, pose, fine = _advance(body, (here, moved / SPLIT, moved_before), near, last)
-        found &= fine
-        moved_before = moved / SPLIT
-    return at, last, pose, found
+    def rows(self, index: NDArray[np.int64]) -> TipBody:
+        """The same for a selection."""
+        return TipBody(
+            self.eps[index],
+            self.friction[index],
+            self.tilt[index],
+            self.ridge.rows(index),
+            self.profile.rows(index),
+        )
