@@ -25,10 +25,12 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-LINE = 1e-3
+LINE = 5e-3
 """A beam that touches along more than this touches along a line [m]."""
+LINE_FROM_CREASE = 2e-4
+"""Where the touched part begins at a crease, more than this is enough [m]."""
 LINE_SAG = 1e-6
-"""Unless the smooth surface bends away by more than this over that length: then it is a facet's width [m]."""
+"""But where the smooth surface bends away by more than this over the length, it is a facet's width [m]."""
 PARALLEL = 0.02
 """A crease within this angle of the beam is a corner of the silhouette [rad]."""
 NEARLY_PARALLEL = 1e-6
@@ -191,11 +193,17 @@ def _rows(
     # On a smooth surface a facet that happens to lie along the beam is no line: its surface is bent.
     third = np.full((len(index), 3), 1.0 / 3.0)
     bend = np.einsum("ki,kij,kj->k", along, surface.shape_operator(face, third), along)
-    line = (span > LINE) & (np.abs(bend) * span**2 / 8.0 < LINE_SAG) & (touches.where[index] < Where.THROUGH)
+    begin = base + touches.near[index, None] * along
+    near_face = touches.near_face[index]
+    corners = topology.vertices[topology.corners[near_face]]
+    on = _on_edges(_barycentric(corners, begin, radius))
+    creased = (on & topology.sharp[topology.face_edges[near_face]]).any(axis=1)
+    line = span > np.where(creased, LINE_FROM_CREASE, LINE)
+    line &= (np.abs(bend) * span**2 / 8.0 < LINE_SAG) & (touches.where[index] < Where.THROUGH)
     distance = np.where(line, touches.near[index], distance)
     return _Rows(
         index=index,
-        face=np.where(line, touches.near_face[index], face),
+        face=np.where(line, near_face, face),
         where=touches.where[index],
         line=line,
         axis=base + distance[:, None] * along,
@@ -204,6 +212,11 @@ def _rows(
         motion=motion,
         radius=radius,
     )
+
+
+def _on_edges(barycentric: FloatArray) -> BoolArray:
+    """Which of its face's edges a point lies on (k, 3)."""
+    return np.asarray(barycentric[:, [2, 0, 1]] < 1e-6)  # edge i is opposite corner i + 2
 
 
 def _barycentric(corners: FloatArray, point: FloatArray, radius: float) -> FloatArray:
@@ -244,7 +257,7 @@ def closest_barycentric(corners: FloatArray, point: FloatArray) -> FloatArray:
 def _edges(topology: Topology, rows: _Rows, barycentric: FloatArray) -> IntArray:
     """The mesh edge that is touched (k,), -1 inside a face."""
     k = np.arange(len(rows.face))
-    on = barycentric[:, [2, 0, 1]] < 1e-6  # edge i is opposite corner i + 2
+    on = _on_edges(barycentric)
     edges = topology.face_edges[rows.face]
     # At the near end of a line the edge that ends it is felt, unless the line runs along a crease.
     corner = on & topology.sharp[edges]
