@@ -11,7 +11,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contour.laws import (
+    SLIP_RATES,
+    SLIP_TOTALS,
+    OnePush,
+    Slip,
+    SoftBody,
+    compliance,
+    compliance_on_soft_body,
+    distance_from_compliance,
+    finite_angle,
+    force_direction,
     k_of_h,
+    k_of_h_printed,
+    one_push,
+    return_onset,
+    slip_law,
+    soft_body,
     softening,
 )
 from contour.response import (
@@ -22,18 +37,36 @@ from contour.response import (
     compliance_ratio,
     refine,
     request,
+    request_tip,
 )
 from contour.silhouette import ArcProfile, Profile, sampled
 from contour.slip import Path, follow
 
 __all__ = [
+    "SLIP_RATES",
+    "SLIP_TOTALS",
     "CycleResponse",
+    "OnePush",
     "PushResponse",
+    "Slip",
+    "SoftBody",
+    "compliance",
+    "compliance_on_soft_body",
+    "distance_from_compliance",
+    "finite_angle",
+    "force_direction",
     "k_of_h",
+    "k_of_h_printed",
     "moment_angle",
+    "one_push",
     "push_cycle",
     "push_cycle_profile",
+    "push_cycle_tip",
     "push_response",
+    "return_onset",
+    "slip_law",
+    "soft_body",
+    "softening",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -130,6 +163,47 @@ def push_cycle_profile(
     """
     asked = request(eps, thetas, distance, friction, radius_along, np.inf)
     return _answer(asked, sampled(*profile, asked.distance))
+
+
+def push_cycle_tip(
+    eps: ArrayLike,
+    thetas: ArrayLike,
+    *,
+    distance: ArrayLike,
+    friction: ArrayLike,
+    radius_along: ArrayLike,
+    radius_across: ArrayLike,
+    tilt: ArrayLike,
+) -> CycleResponse:
+    """What pushes with the tip are answered with, to first order in theta tan(tilt).
+
+    The tip is drawn in by r^2/10 and so climbs or sinks on its tilted surface, whose force is tilted too; across the
+    beam it slides as a side contact with the friction mu/cos(tilt).
+
+    Args:
+        eps: pushing direction off the inner normal's part in the sensing plane [rad], (...).
+        thetas: angles of the base from touch, in their order [rad], (..., k).
+        distance: L [m], centre of rotation to tip, (...).
+        friction: mu, (...).
+        radius_along: radius of the surface in the plane of the beam and the normal [m]; it matters in the next order.
+        radius_across: radius of the surface across it [m], inf flat, below 0 concave, (...).
+        tilt: angle chi of the outer normal out of the sensing plane, positive towards the base [rad], (...).
+    """
+    asked, chi, _ = request_tip(eps, thetas, distance, friction, radius_along, radius_across, tilt)
+    path_angles, wanted = refine(asked.angles, STEPS_OUT)
+    path = follow(asked.eps, path_angles, asked.friction / np.cos(chi), ArcProfile(asked.bend))
+    r = path.slope
+    lifted = 1.0 - 0.1 * r * np.tan(chi) * np.cos(path.delta - np.pi - asked.eps)
+    leant = np.tan(np.arctan(asked.friction * path.along) + 0.5 * r - chi)
+    moment = path.lever * lifted / (1.0 + (15.0 / 14.0) * r * r - 0.2 * leant * r)
+    scale = asked.distance[..., None]
+    return CycleResponse(
+        delta=as_asked(asked, wanted, path.delta),
+        moment_angle=as_asked(asked, wanted, moment),
+        slipped_off=as_asked(asked, wanted, path.slipped_off),
+        slide=as_asked(asked, wanted, path.slide) * scale,
+        arc_length=np.broadcast_to(scale, asked.shape).copy(),
+    )
 
 
 def _answer(asked: PushRequest, profile: Profile) -> CycleResponse:

@@ -30,6 +30,8 @@ TOLERANCE = 1e-6
 """Newton steps below this, in theta or rad, are the last: the next would be 1e-4 of it or less."""
 DIFFERENCE = 1e-5
 """Differences of the Jacobian, in theta or rad: truncation 1e-5, rounding 1e-8 for theta of 1 mrad."""
+DIFFERENCE_ETA = 1e-4
+"""The same for eta [rad], on which lengths depend by theta^3 alone."""
 SPLIT = 8
 """Parts in which a step that does not settle is taken."""
 ROUND = 0.7
@@ -91,11 +93,11 @@ def _newton(body: Body, theta: FloatArray, c: Contact, before: Memory) -> tuple[
         Contact(
             np.stack((c.b, c.b + h * speed, c.b, c.b)),
             np.stack((c.zeta, c.zeta, c.zeta + h, c.zeta)),
-            np.stack((c.eta, c.eta, c.eta, c.eta + DIFFERENCE)),
+            np.stack((c.eta, c.eta, c.eta, c.eta + DIFFERENCE_ETA)),
         ),
         before,
     )
-    steps = (h, h, np.full_like(h, DIFFERENCE))
+    steps = (h, h, np.full_like(h, DIFFERENCE_ETA))
     values = (p.gap, p.slip_lat, p.slip_lon, p.force_lat, p.force_lon)
     here = [v[0] for v in values]
     column = [[(v[j] - v[0]) / steps[j - 1] for v in values] for j in (1, 2, 3)]
