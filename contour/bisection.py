@@ -59,6 +59,8 @@ class BisectionSettings:
     """Bound of the turn of (15) [rad]; None for the 90 deg of the paper."""
     friction_angle: float = float(np.deg2rad(20.0))
     """Largest friction angle expected [rad]; used until a contour has shown its own."""
+    bend: float = 20.0
+    """Standard deviation of the profile's unknown curvature 1/R_l, which turns the normal under a slide [1/m]."""
     push: PushSettings = field(default_factory=PushSettings)
     """How far to push."""
     name: str = "bisection"
@@ -77,6 +79,8 @@ class BisectionSettings:
             raise UsageError(
                 f"bisection largest_step is {self.largest_step!r} rad: it must lie above 0 and up to pi/2"
             )
+        if not (np.isfinite(self.bend) and self.bend >= 0.0):
+            raise UsageError(f"bisection bend is {self.bend!r} 1/m: it must be zero or more")
         if not 0.0 < self.friction_angle < QUARTER:
             raise UsageError(
                 f"bisection friction_angle is {self.friction_angle!r} rad: it must lie between 0 and pi/2"
@@ -255,11 +259,21 @@ class BisectionStrategy:
             distance = self._antenna.distance(trials.compliance[go, made - 1])
             work.angle[go] = push_angle(distance, self._antenna, s.push)
 
-    def _friction(self) -> tuple[FloatArray, FloatArray]:
+    def _turns(self) -> FloatArray:
+        """(n, t) rad, how far the normal may have turned under the slide of each trial, which (16) leaves out."""
+        trials = self._here().trials
+        slide = (
+            self._antenna.distance(trials.compliance)
+            * trials.theta
+            * np.sin(np.minimum(np.abs(trials.off), QUARTER))
+        )
+        return np.asarray(self._settings.bend * slide)
+
+    def _friction(self, turns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Friction angle of each contact and its sigma.
 
         Half the widest spread of psi on the contour so far, or what is expected where no contact of it has
-        been pushed from both sides.
+        been pushed from both sides. A slide on a convex profile brings the two closer, so turns count.
         """
         work, s = self._here(), self._settings
         trials, which = work.trials, work.touch.which
@@ -267,9 +281,10 @@ class BisectionStrategy:
         both = left.any(axis=1) & right.any(axis=1)
         # All trials lie near the first one's direction, so that angles from there do not wrap.
         near = wrap_angle(trials.psi - trials.psi[:, :1])
-        widest = np.where(right, near, -np.inf).max(axis=1) - np.where(left, near, np.inf).min(axis=1)
-        here = np.where(both, 0.5 * widest, 0.0)
-        self._cone[which] = np.maximum(self._cone[which], np.clip(here, 0.0, QUARTER))
+        highest = np.where(right, near + turns, -np.inf).max(axis=1)
+        lowest = np.where(left, near - turns, np.inf).min(axis=1)
+        here = np.where(both, 0.5 * (highest - lowest), 0.0)
+        self._cone[which] = np.maximum(self._cone[which], np.clip(here, 0.0, s.friction_angle))
         seen = self._cone[which] > 0.0
         angle = np.where(seen, self._cone[which], s.friction_angle)
         return angle, np.where(seen, 0.25 * angle, s.friction_angle)
@@ -278,7 +293,8 @@ class BisectionStrategy:
         """The contacts, and the contours' memory brought up to date."""
         work, s = self._here(), self._settings
         trials = work.trials
-        alpha, alpha_sigma = self._friction()
+        turns = self._turns()
+        alpha, alpha_sigma = self._friction(turns)
         found = trials.made > 0
         best = np.argmin(np.where(trials.tried, np.abs(trials.off), np.inf), axis=1)
         here = np.arange(found.size), best
@@ -288,8 +304,9 @@ class BisectionStrategy:
         aslant = np.tan(np.clip(off, -1.2, 1.2)) * np.tan(alpha)
         left_out = curvature_allowance(trials.theta[here], distance, alpha, s.push)
         relative = np.sqrt(trials.compliance_sigma[here] ** 2 + left_out**2 + aslant**2)
-        # Anywhere within its bound the normal is as likely.
-        within = np.maximum(normal_bound(best + 1, alpha), np.abs(off)) / np.sqrt(3.0)
+        # Anywhere within its bound the normal is as likely; a mean of two trials that slid carries half their turns.
+        carried = np.where(best > 0, 0.5 * turns.max(axis=1), 0.0)
+        within = np.maximum(normal_bound(best + 1, alpha) + carried, np.abs(off)) / np.sqrt(3.0)
         flags = work.flags | np.where(work.limited, Flag.OVER_MOMENT, Flag.NONE)
         flags = np.where(found, flags, flags | Flag.LOST)
         result = Result(

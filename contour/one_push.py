@@ -61,7 +61,7 @@ class PushSettings:
     """Distance below which the angle shrinks in proportion, as section IV of Kaneko1998 does [m]."""
     moment_share: float = 0.85
     """Share of the moment limit that a push plans to use."""
-    radius: float = 0.03
+    radius: float = 0.05
     """Standard deviation of the body's unknown radius R along the beam [m]."""
 
     def __post_init__(self) -> None:
@@ -310,9 +310,9 @@ class OnePushStrategy:
         # Until a push has told more, a contact is lost: nothing is known but what the touch led to expect.
         unknown = Result(
             distance=distance,
-            distance_sigma=distance,
-            outward=touch.expected,
-            outward_sigma=touch.expected_sigma,
+            distance_sigma=distance.copy(),
+            outward=touch.expected.copy(),
+            outward_sigma=touch.expected_sigma.copy(),
             friction_angle=np.full(n, s.friction_angle),
             friction_sigma=np.full(n, s.friction_sigma),
             pushes=np.zeros(n, dtype=np.int64),
