@@ -1,14 +1,15 @@
 """Plans: which contours to follow, before anything has been touched.
 
-A contour is a beam direction d in the world, fixed while it is followed, and a level: the coordinate along d of the
-centre of rotation [m]. Fixed joint angles fix the axes x_s and z_s of the sensing plane Pi in the world, so that the
-base moves in two coordinates u = (p . x_s, p . z_s) [m]. What the beam meets there is the outline, seen along d, of
-the part of the object between the depths level and level + L: its side touches where that outline is a silhouette,
-its tip where the plane at depth level + L cuts the object.
+A contour is a beam direction d in the world, fixed while it is followed, and a level: the coordinate along d
+of the centre of rotation [m]. Fixed joint angles fix the axes x_s and z_s of the sensing plane Pi in the
+world, so that the base moves in two coordinates u = (p . x_s, p . z_s) [m]. What the beam meets there is the
+outline, seen along d, of the part of the object between the depths level and level + L: its side touches
+where that outline is a silhouette, its tip where the plane at depth level + L cuts the object.
 
-Silhouettes never show the inside of a face, so the default plan spreads its directions, all oblique to whatever faces
-the object has, and moves the tip's plane through the object: the tip then draws plane sections over caps and faces.
-Approaches stay within Pi, perpendicular to the beam, so that a tip is never pushed along its axis.
+Silhouettes never show the inside of a face, so the default plan spreads its directions, all oblique to
+whatever faces the object has, and moves the tip's plane through the object: the tip then draws plane sections
+over caps and faces. Approaches stay within Pi, perpendicular to the beam, so that a tip is never pushed along
+its axis.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from contour.antenna import Antenna
 from contour.errors import UsageError
-from contour.frames import SINGULAR_MARGIN, Mount, joint_angles
+from contour.frames import Mount, joint_angles
+from contour.reach import Reach
 
 __all__ = ["Plan", "Reach", "default_plan", "levels_plan", "orientation_plan"]
 
@@ -40,74 +42,6 @@ CONTOURS = 60
 """Contours of a default plan: 12 directions with 5 levels."""
 HEADINGS = 8
 """Ways, evenly round Pi, from which a first contact may be sought."""
-PUSH_TURN = float(np.deg2rad(6.0))
-"""Room that pushes need at the joints' limits [rad]."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Reach:
-    """Where the base may go: axis limits of the gantry, and a floor."""
-
-    lower: FloatArray
-    """(5,) m and rad: least (X, Y, Z, phi1, phi2) in the base frame; -inf where there is no limit."""
-    upper: FloatArray
-    """(5,) m and rad: largest."""
-    floor: float = -np.inf
-    """Height in the world [m] that neither the base nor the beam's end may go under."""
-
-    def __post_init__(self) -> None:
-        for name in ("lower", "upper"):
-            limit = np.array(getattr(self, name), dtype=np.float64)
-            if limit.shape != (5,) or np.isnan(limit).any():
-                raise UsageError(f"reach {name} must be five numbers (X, Y, Z in m, phi1, phi2 in rad), got {limit!r}")
-            limit.setflags(write=False)
-            object.__setattr__(self, name, limit)
-        if np.any(self.lower >= self.upper):
-            axis = "X Y Z phi1 phi2".split()[int(np.argmax(self.lower >= self.upper))]
-            raise UsageError(f"reach of axis {axis} is empty: its lower limit must be below its upper limit")
-
-    @classmethod
-    def unlimited(cls, *, floor: float = -np.inf) -> Reach:
-        """No axis limits."""
-        return cls(lower=np.full(5, -np.inf), upper=np.full(5, np.inf), floor=floor)
-
-    def half_planes(
-        self, rotation: FloatArray, level: FloatArray, length: float, mount: Mount
-    ) -> tuple[FloatArray, FloatArray]:
-        """A (n, 8, 2) and b (n, 8) [m] such that the base may stand at u in Pi where A u <= b.
-
-        Args:
-            rotation: (n, 3, 3), sensor to world.
-            level: (n,) m, coordinate of the base along the beam.
-            length: L [m].
-            mount: of the gantry's base.
-        """
-        plane = rotation[:, :, [0, 2]]  # (n, 3, 2)
-        depth = rotation[:, :, 1] * level[:, None]
-        at_zero = (depth - mount.origin) @ mount.rotation  # (n, 3) base position for u = 0
-        across = np.einsum("ji,njk->nik", mount.rotation, plane)  # (n, 3, 2) base position per u
-        down = -plane[:, 2, :]
-        tip = length * rotation[:, 2, 1]
-        a = np.concatenate((across, -across, down[:, None, :], down[:, None, :]), axis=1)
-        b = np.concatenate(
-            (
-                self.upper[:3] - at_zero,
-                at_zero - self.lower[:3],
-                (depth[:, 2] - self.floor)[:, None],
-                (depth[:, 2] + tip - self.floor)[:, None],
-            ),
-            axis=1,
-        )
-        return a, b
-
-    def turns(self, direction_base: FloatArray) -> NDArray[np.bool_]:
-        """(n,) whether the joints can point the beam along ``direction_base`` (n, 3), with room for pushes."""
-        phi2 = np.arcsin(np.clip(direction_base[:, 2], -1.0, 1.0))
-        ok: NDArray[np.bool_] = np.abs(phi2) <= np.pi / 2 - SINGULAR_MARGIN - PUSH_TURN
-        phi1 = np.arctan2(-direction_base[:, 0], direction_base[:, 1])
-        for angle, axis in ((phi1, 3), (phi2, 4)):
-            ok &= (angle >= self.lower[axis] + PUSH_TURN) & (angle <= self.upper[axis] - PUSH_TURN)
-        return ok
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -154,7 +88,10 @@ class Plan:
 def _checked_bounds(bounds: ArrayLike) -> FloatArray:
     box = np.array(bounds, dtype=np.float64)
     if box.shape != (2, 3) or not np.isfinite(box).all() or np.any(box[0] > box[1]):
-        raise UsageError("object bounds must be finite, lower corner then upper corner (2, 3), in m: check the mesh and its unit")
+        raise UsageError(
+            "object bounds must be finite, lower corner then upper corner (2, 3), in m: "
+            "check the mesh and its unit"
+        )
     if np.max(box[1] - box[0]) <= 0.0:
         raise UsageError("object bounds are a single point: check the mesh")
     return box
@@ -171,12 +108,12 @@ def _support(half: FloatArray, axis: FloatArray) -> FloatArray:
 
 def _inner_support(half: FloatArray, axis: FloatArray) -> FloatArray:
     """The same for the ellipsoid inscribed in the box."""
-    return np.sqrt((axis * half) ** 2 @ np.ones(3))
+    return np.asarray(np.sqrt((axis * half) ** 2 @ np.ones(3)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Lines:
-    """Lines of first contact, m for each of n contours: where they start, which way, how far the base may go."""
+    """Lines of first contact, m for each of n contours: where they start, which way, how far they may go."""
 
     start: FloatArray  # (n, m, 2)
     heading: FloatArray  # (m, 2)
@@ -186,7 +123,14 @@ class _Lines:
 
 
 def _lines(
-    box: FloatArray, rotation: FloatArray, level: FloatArray, tip: FloatArray, margin: float, length: float, mount: Mount, reach: Reach
+    box: FloatArray,
+    rotation: FloatArray,
+    level: FloatArray,
+    tip: FloatArray,
+    margin: float,
+    length: float,
+    mount: Mount,
+    reach: Reach,
 ) -> _Lines:
     half, centre = 0.5 * (box[1] - box[0]), 0.5 * (box[0] + box[1])
     plane = rotation[:, :, [0, 2]]
@@ -226,7 +170,9 @@ def _build(
     step: float,
     starts: int,
 ) -> Plan:
-    """Contours whose tip's plane lies at the depths ``tip`` (n,) m; those that the gantry cannot begin are left out."""
+    """Contours whose tip's plane lies at the depths ``tip`` (n,) m; those that the gantry cannot begin are
+    left out.
+    """
     half, length = 0.5 * (box[1] - box[0]), antenna.beam.length
     rotation = _rotations(direction, mount)
     level = tip - length
@@ -234,7 +180,9 @@ def _build(
     lines = _lines(box, rotation, level, tip, margin, length, mount, reach)
     best = np.argmax(lines.room > 0.0, axis=1)
     fits = np.max(lines.room, axis=1) > 0.0
-    best = np.where(fits, np.argmax(lines.room >= np.max(lines.room, axis=1, keepdims=True) - 1e-9, axis=1), best)
+    best = np.where(
+        fits, np.argmax(lines.room >= np.max(lines.room, axis=1, keepdims=True) - 1e-9, axis=1), best
+    )
     turns = (np.arange(starts) * HEADINGS) // starts
     chosen = (best[:, None] + turns) % HEADINGS  # (n, starts)
     rows = np.arange(level.size)[:, None]
@@ -253,7 +201,10 @@ def _build(
         perimeter=flat[i],
         near=(direction @ centre - _support(half, direction))[i],
         plane=i.astype(np.int64),
-        label=tuple(label[a] if starts == 1 else f"{label[a]} start {b}" for a, b in zip(i.tolist(), j.tolist(), strict=True)),
+        label=tuple(
+            label[a] if starts == 1 else f"{label[a]} start {b}"
+            for a, b in zip(i.tolist(), j.tolist(), strict=True)
+        ),
         step=step,
         reach=reach,
     )
@@ -263,7 +214,10 @@ def _checked_step(step: float | None, box: FloatArray) -> float:
     size = float(np.max(box[1] - box[0]))
     value = size / STEPS_PER_SIZE if step is None else float(step)
     if not (np.isfinite(value) and 0.0 < value <= size):
-        raise UsageError(f"step is {value * 1e3:.4g} mm: it must be above zero and not above the object's size ({size * 1e3:.4g} mm)")
+        raise UsageError(
+            f"step is {value * 1e3:.4g} mm: it must be above zero and not above the object's size "
+            f"({size * 1e3:.4g} mm)"
+        )
     return value
 
 
@@ -279,8 +233,9 @@ def _require(plan: Plan, box: FloatArray, antenna: Antenna) -> Plan:
     if plan.contours == 0:
         size = " x ".join(f"{edge * 1e3:.3g}" for edge in box[1] - box[0])
         raise UsageError(
-            f"object of {size} mm is out of the beam's reach (L = {antenna.beam.length * 1e3:.3g} mm): no contour can begin "
-            "within the gantry's limits and above the floor; move the object, mount the base another way or take a longer beam"
+            f"object of {size} mm is out of the beam's reach (L = {antenna.beam.length * 1e3:.3g} mm): "
+            "no contour can begin within the gantry's limits and above the floor; move the object, "
+            "mount the base another way or take a longer beam"
         )
     return plan
 
@@ -357,8 +312,9 @@ def levels_plan(
     deepest = float((d @ centre)[0] - _support(half, d)[0] + (1.0 - NEAREST) * length)
     if not np.isfinite(tip).all() or tip.size == 0 or np.max(tip) > deepest + 1e-9:
         raise UsageError(
-            f"heights reach {np.max(tip, initial=-np.inf) * 1e3:.4g} mm along the axis, but the tip gets to {deepest * 1e3:.4g} mm with the base "
-            f"{NEAREST * length * 1e3:.3g} mm off the object's box: lower them or take a longer beam"
+            f"heights reach {np.max(tip, initial=-np.inf) * 1e3:.4g} mm along the axis, but the tip gets to "
+            f"{deepest * 1e3:.4g} mm with the base {NEAREST * length * 1e3:.3g} mm off the "
+            "object's box: lower them or take a longer beam"
         )
     plan = _build(
         np.repeat(d, tip.size, axis=0),
@@ -384,7 +340,9 @@ def _spread(count: int, mount: Mount) -> FloatArray:
 
 
 def _tip_levels(direction: FloatArray, count: int, box: FloatArray, length: float) -> FloatArray:
-    """(n, count) m, depths of the tip's plane: through the half that faces the base, the last as deep as it goes."""
+    """(n, count) m, depths of the tip's plane: through the half that faces the base, the last as deep as it
+    goes.
+    """
     half, centre = 0.5 * (box[1] - box[0]), 0.5 * (box[0] + box[1])
     middle, inner = direction @ centre, _inner_support(half, direction)
     deepest = middle - _support(half, direction) + (1.0 - NEAREST) * length
@@ -392,7 +350,7 @@ def _tip_levels(direction: FloatArray, count: int, box: FloatArray, length: floa
     first = middle - np.sin(LARGEST_TILT) * inner
     last = np.minimum(middle + 0.15 * inner, deepest)
     if count == 1:
-        return deepest[:, None]
+        return np.asarray(deepest[:, None])
     shares = np.arange(count - 1) / max(count - 2, 1)
     sections = first[:, None] + shares * np.maximum(last - first, 0.0)[:, None]
     return np.column_stack((sections, np.minimum(middle + inner, deepest)))
@@ -410,12 +368,12 @@ def default_plan(
 ) -> Plan:
     """A plan for an unknown object, from its bounding box alone, caps included.
 
-    Beam directions spread evenly over the band |phi2| <= 50 deg, opposite ones among them; for each, planes of the
-    tip run from where an ellipsoid inscribed in the box would tilt the tipped normal 60 deg out of Pi, through the
-    half that faces the base, to the deepest plane that leaves the base 0.1 L outside the box: the silhouette from
-    nearby. Directions that the gantry cannot serve are replaced by others. The step is a twentieth of the longest
-    edge. For an object of 200 mm that makes 60 contours and 1000 to 3300 contacts (a ball that fills its box has
-    the most).
+    Beam directions spread evenly over the band |phi2| <= 50 deg, opposite ones among them; for each, planes
+    of the tip run from where an ellipsoid inscribed in the box would tilt the tipped normal 60 deg out of Pi,
+    through the half that faces the base, to the deepest plane that leaves the base 0.1 L outside the box: the
+    silhouette from nearby. Directions that the gantry cannot serve are replaced by others. The step is a
+    twentieth of the longest edge. For an object of 200 mm that makes 60 contours and 1000 to 3300 contacts (a
+    ball that fills its box has the most).
 
     Args:
         bounds: (2, 3) m, lower and upper corner of the object's box in the world.

@@ -1,4 +1,4 @@
-"""An analytic instrument for the tracer alone: outlines in Pi as signed distances, contacts with their true normals."""
+"""An analytic instrument for the tracer alone: signed distances in Pi, contacts as they truly are."""
 
 from __future__ import annotations
 
@@ -65,8 +65,10 @@ def union(*shapes: Shape) -> Shape:
     return lambda p: np.min([shape(p) for shape in shapes], axis=0)
 
 
-def plane_plan(count: int, step: float, *, size: float = 0.2, reach: Reach | None = None, start=None, heading=None) -> Plan:
-    """``count`` contours with the beam along +y of the world: u = (x, z). The box is ``size`` wide, about the origin."""
+def plane_plan(
+    count: int, step: float, *, size: float = 0.2, reach: Reach | None = None, start=None, heading=None
+) -> Plan:
+    """``count`` contours with the beam along +y of the world: u = (x, z). The box is ``size`` wide."""
     start = np.tile([-size, 0.003], (count, 1)) if start is None else np.array(start, dtype=float)
     heading = np.tile([1.0, 0.0], (count, 1)) if heading is None else np.array(heading, dtype=float)
     return Plan(
@@ -145,13 +147,17 @@ class PlanarBench:
         blocked = stop < far
         way = direction_world[:, [0, 2]]
         flat = np.linalg.norm(way, axis=1) > 1e-9
-        went = np.where(flat & (np.abs(goal_depth - level) < 1e-9), self.march(which, start, way, travel), np.inf)
+        went = np.where(
+            flat & (np.abs(goal_depth - level) < 1e-9), self.march(which, start, way, travel), np.inf
+        )
         touching = ~blocked & (went <= 0.0)
         found = ~blocked & ~touching & (went < travel)
         end = start + np.where(np.isfinite(went), np.minimum(went, travel), travel)[:, None] * way
         end = np.where(blocked[:, None], self.here[which] + np.where(blocked, stop, 0.0)[:, None] * move, end)
         end = np.where(touching[:, None], self.here[which], end)
-        outcome = np.select([blocked, touching, found], [Outcome.BLOCKED, Outcome.TOUCHING, Outcome.FOUND], Outcome.NOT_FOUND)
+        outcome = np.select(
+            [blocked, touching, found], [Outcome.BLOCKED, Outcome.TOUCHING, Outcome.FOUND], Outcome.NOT_FOUND
+        )
         self.deep[which] = np.where(blocked | touching, self.deep[which], goal_depth)
         self.here[which] = end
         self.way[which] = np.where(blocked[:, None], move, way)
@@ -188,8 +194,12 @@ class PlanarBench:
         """True contacts, the normal with noise."""
         u = self.here[which]
         normal = self.normals(which, u)
-        outward = np.arctan2(normal[:, 1], normal[:, 0]) + self.normal_sigma * self.rng.standard_normal(which.size)
-        return make_contacts(which, u, outward, sigma=max(self.normal_sigma, 1e-4), order=self.take_order(which))
+        outward = np.arctan2(normal[:, 1], normal[:, 0]) + self.normal_sigma * self.rng.standard_normal(
+            which.size
+        )
+        return make_contacts(
+            which, u, outward, sigma=max(self.normal_sigma, 1e-4), order=self.take_order(which)
+        )
 
     def take_order(self, which):
         """Count contacts of each contour."""
