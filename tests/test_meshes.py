@@ -130,6 +130,19 @@ def test_bracket_loses_its_holes():
     assert found == pytest.approx(plates - 0.010 * polygon * (2 * 0.008**2 + 0.012**2), rel=1e-9)
 
 
+def test_nothing_touches_the_bracket_inside_its_holes():
+    """From a hole's middle the nearest surface is its wall, from over its mouth the mouth's rim: an edge."""
+    bracket = shapes.load("bracket")
+    axis = np.array([0.020, 0.070])
+    inside = bracket.surface(np.array([[axis[0] + 1e-3, axis[1], 0.0098]]))
+    assert inside.point[0] == pytest.approx([0.028, 0.070, 0.0098])
+    assert inside.normal[0] == pytest.approx([-1.0, 0.0, 0.0])
+    over = bracket.surface(np.array([[axis[0] + 7e-3, axis[1], 0.011]]))
+    assert over.point[0] == pytest.approx([0.028, 0.070, 0.010])
+    assert over.normal[0] == pytest.approx(np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0))
+    assert over.edge_distance[0] == 0.0
+
+
 def test_regions_tell_faces_arcs_corners_and_edges():
     """Known places of the shaft, the gear and the box have the region that a drawing would give them."""
     box = shapes.load("box").region(np.array([[0.080, 0.0, 0.0], [0.080, 0.060, 0.0], [0.080, 0.060, 0.050]]))
@@ -159,14 +172,15 @@ def test_curvature_signs_follow_the_solid():
 
 
 @pytest.mark.parametrize("name", shapes.NAMES)
-def test_files_are_what_the_generator_makes(name, mesh_file):
-    """The stored mesh is the generated one to single precision, in millimetres, and its header says so."""
-    path = mesh_file(name)
-    assert b"comment unit mm\n" in path.read_bytes()[:200]
-    stored = trimesh.load(path, process=False)
+def test_files_are_what_the_generator_makes(name, mesh_file, tmp_path):
+    """Stored or written now, a file is the generated mesh to single precision, in millimetres, and says so."""
     made = _mesh(name)
-    assert np.array_equal(stored.faces, made.faces)
-    assert np.max(np.abs(stored.vertices - 1e3 * made.vertices)) < 2e-5  # float32 at 200 mm
+    shapes.write_mesh(tmp_path / "new.ply", shapes.TriangleMesh(made.vertices, made.faces), name)
+    for path in (mesh_file(name), tmp_path / "new.ply"):
+        assert b"comment unit mm\n" in path.read_bytes()[:200]
+        stored = trimesh.load(path, process=False)
+        assert np.array_equal(stored.faces, made.faces)
+        assert np.max(np.abs(stored.vertices - 1e3 * made.vertices)) < 2e-5  # float32 at 200 mm
 
 
 def test_unknown_shape_is_named_with_the_closest():

@@ -161,11 +161,8 @@ class Path:
         from_centre = p[:, None] - self.centre
         zero = np.arctan2(self.start[:, 1] - self.centre[:, 1], self.start[:, 0] - self.centre[:, 0])
         turned = np.mod(side * (np.arctan2(from_centre[..., 1], from_centre[..., 0]) - zero), 2.0 * np.pi)
-        beyond = turned > self.sweep
-        # Past the arc's end the nearer end is nearest.
-        turned = np.where(
-            beyond, np.where(turned - self.sweep < 2.0 * np.pi - turned, self.sweep, 0.0), turned
-        )
+        # Past the arc's end a neighbour is as near or nearer, so either end will do.
+        turned = np.minimum(turned, self.sweep)
         angle = zero + side * turned
         return np.asarray(self.centre + radius[:, None] * np.stack((np.cos(angle), np.sin(angle)), axis=-1))
 
