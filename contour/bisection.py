@@ -60,7 +60,7 @@ class BisectionSettings:
     friction_angle: float = float(np.deg2rad(20.0))
     """Largest friction angle expected [rad]; used until a contour has shown its own."""
     bend: float = 20.0
-    """Standard deviation of the profile's unknown curvature 1/R_l, which turns the normal under a slide [1/m]."""
+    """Standard deviation of the unknown 1/R_l of the profile, which turns the normal under a slide [1/m]."""
     push: PushSettings = field(default_factory=PushSettings)
     """How far to push."""
     name: str = "bisection"
@@ -221,7 +221,7 @@ class BisectionStrategy:
     def drop(self, rows: IntArray) -> None:
         """Contacts ``rows`` were not found again: what was found before them counts."""
         work = self._here()
-        work.flags[rows] |= np.int64(Flag.LOST)
+        work.flags[rows[work.trials.made[rows] > 0]] |= np.int64(Flag.UNRESOLVED)
         work.action[rows] = np.int8(Action.DONE)
 
     def watch(self, rows: IntArray) -> Watch | None:
@@ -260,13 +260,10 @@ class BisectionStrategy:
             work.angle[go] = push_angle(distance, self._antenna, s.push)
 
     def _turns(self) -> FloatArray:
-        """(n, t) rad, how far the normal may have turned under the slide of each trial, which (16) leaves out."""
+        """(n, t) rad, how far the normal may have turned under each trial's slide, which (16) leaves out."""
         trials = self._here().trials
-        slide = (
-            self._antenna.distance(trials.compliance)
-            * trials.theta
-            * np.sin(np.minimum(np.abs(trials.off), QUARTER))
-        )
+        depth = self._antenna.distance(trials.compliance) * trials.theta
+        slide = depth * np.sin(np.minimum(np.abs(trials.off), QUARTER))
         return np.asarray(self._settings.bend * slide)
 
     def _friction(self, turns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -304,11 +301,11 @@ class BisectionStrategy:
         aslant = np.tan(np.clip(off, -1.2, 1.2)) * np.tan(alpha)
         left_out = curvature_allowance(trials.theta[here], distance, alpha, s.push)
         relative = np.sqrt(trials.compliance_sigma[here] ** 2 + left_out**2 + aslant**2)
-        # Anywhere within its bound the normal is as likely; a mean of two trials that slid carries half their turns.
+        # Anywhere within its bound the normal is as likely; a mean of two trials that slid has half a turn.
         carried = np.where(best > 0, 0.5 * turns.max(axis=1), 0.0)
         within = np.maximum(normal_bound(best + 1, alpha) + carried, np.abs(off)) / np.sqrt(3.0)
         flags = work.flags | np.where(work.limited, Flag.OVER_MOMENT, Flag.NONE)
-        flags = np.where(found, flags, flags | Flag.LOST)
+        flags = np.where(found | (flags != 0), flags, np.int64(Flag.LOST))
         result = Result(
             distance=distance,
             distance_sigma=np.where(found, relative, 1.0) * distance,
