@@ -1,9 +1,9 @@
 """A bounding-volume tree over triangles, built and descended with whole arrays.
 
-The tree is perfectly balanced: faces are put in order by splitting at the median along the longest side, level by
-level, so that the children of node i are 4 i .. 4 i + 3 and every leaf holds the same number of faces. A region to
-search is an intersection of slabs lo <= g . p <= hi and, if wanted, a ball; one descent serves all regions at once.
-The answer is a superset: every face that meets a region is among its candidates.
+The tree is perfectly balanced: faces are put in order by splitting at the median along the longest side,
+level by level, so that the children of node i are 4 i .. 4 i + 3 and every leaf holds the same number of
+faces. A region to search is an intersection of slabs lo <= g . p <= hi and, if wanted, a ball; one descent
+serves all regions at once. The answer is a superset: every face that meets a region is among its candidates.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ ROOT_NODES = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Regions:
-    """n convex regions in which to look for faces: lo <= g . p <= hi for each slab, within reach of the centre."""
+    """n convex regions in which to look for faces: lo <= g . p <= hi for each slab, within reach of the
+    centre.
+    """
 
     slabs: FloatArray
     """g, shape (n, k, 3), k >= 2; the slab that excludes most boxes comes first."""
@@ -112,10 +114,10 @@ class Bvh:
         middle = (g.reshape(-1, 3) @ centre.T).reshape(n, k, -1)
         spread = (np.abs(g).reshape(-1, 3) @ half.T).reshape(n, k, -1)
         meets = (middle - spread <= regions.high[..., None]) & (middle + spread >= regions.low[..., None])
-        found = np.nonzero(meets.all(axis=1))
+        region, node = np.nonzero(meets.all(axis=1))
         if regions.centre is None or regions.reach is None:
-            return found
-        return _in_ball(regions, found[0], found[1], centre, half)
+            return region, node
+        return _in_ball(regions, region, node, centre, half)
 
     def _meet_children(
         self, regions: Regions, region: IntArray, parent: IntArray, level: int

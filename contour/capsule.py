@@ -1,10 +1,10 @@
 """A beam with a radius against triangles: when a moving capsule first comes to within its radius of each.
 
-At the first touch the nearest pair of points is one of a few features: the beam's axis and an edge or a vertex of the
-triangle, or one of its end points and the face, an edge or a vertex. For each the travel at which the gap shrinks to
-the radius has a closed form (docs/derivations-geometry.md); it counts where the nearest points at that travel lie on
-the feature. Coordinates are square: X along the beam, Y ahead of it in the swept plane, Z normal to that plane, from
-the base.
+At the first touch the nearest pair of points is one of a few features: the beam's axis and an edge or a
+vertex of the triangle, or one of its end points and the face, an edge or a vertex. For each the travel at
+which the gap shrinks to the radius has a closed form (docs/derivations-geometry.md); it counts where the
+nearest points at that travel lie on the feature. Coordinates are square: X along the beam, Y ahead of it in
+the swept plane, Z normal to that plane, from the base.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ BoolArray = NDArray[np.bool_]
 
 _EDGE_CODES = (Where.EDGE_0, Where.EDGE_1, Where.EDGE_2)
 ON_FEATURE = 1e-9
-"""Shares and lengths, relative, by which a nearest point may miss its feature: neighbours share their ends."""
+"""Shares and lengths, relative, by which a nearest point may miss its feature: neighbours share their ends.
+"""
 ROOT_STEPS = 100
 """Steps of the one root without a closed form; simple roots take about six each."""
 ROOT_PUSH = 1e-7
@@ -83,7 +84,9 @@ class _Found:
 def slide_features(
     local: FloatArray, length: FloatArray, radius: float, along: FloatArray, ahead: FloatArray
 ) -> Features:
-    """Features of triangles (k, 3, 3) for beams that move by (along, ahead) (k,) in X and Y per metre of travel."""
+    """Features of triangles (k, 3, 3) for beams that move by (along, ahead) (k,) in X and Y per metre of
+    travel.
+    """
     found = _Found(len(local))
     X, Y, Z = local[..., 0], local[..., 1], local[..., 2]
     moving = ahead > 0.0
@@ -213,7 +216,9 @@ def turn_features(local: FloatArray, length: FloatArray, radius: float) -> Featu
 def _turn_edge(
     found: _Found, where: Where, start: FloatArray, stop: FloatArray, length: FloatArray, radius: float
 ) -> None:
-    """Axis and edge: (P . (d x U))^2 = r^2 |d x U|^2, a sinusoid of twice the angle with one entry each half turn."""
+    """Axis and edge: (P . (d x U))^2 = r^2 |d x U|^2, a sinusoid of twice the angle with one entry each half
+    turn.
+    """
     side = stop - start
     sine = start[:, 0] * side[:, 2] - start[:, 2] * side[:, 0]
     cosine = start[:, 2] * side[:, 1] - start[:, 1] * side[:, 2]
@@ -225,8 +230,8 @@ def _turn_edge(
     size = np.hypot(0.5 * (a - b), c)
     level = r2 * total - 0.5 * (a + b)
     crosses = np.abs(level) < size
-    turn = np.arctan2(c, 0.5 * (a - b)) + np.arccos(np.clip(level / np.where(size > 0.0, size, 1.0), -1.0, 1.0))
-    entry = np.mod(0.5 * turn, np.pi)
+    half = np.arccos(np.clip(level / np.where(size > 0.0, size, 1.0), -1.0, 1.0))
+    entry = np.mod(0.5 * (np.arctan2(c, 0.5 * (a - b)) + half), np.pi)
     for travel, met in ((np.zeros(len(a)), a - r2 * total <= 0.0), (entry, crosses)):
         co, si = np.cos(travel), np.sin(travel)
         on_beam = co * start[:, 0] + si * start[:, 1]
@@ -267,11 +272,11 @@ def _turn_tip(found: _Found, corners: FloatArray, length: FloatArray, radius: fl
 def _turn_tip_edge(
     found: _Found, start: FloatArray, side: FloatArray, length: FloatArray, radius: float, rows: IntArray
 ) -> None:
-    """Tip and edge: the first angle at which h = |tip - P|^2 - ((tip - P) . u)^2 - r^2 falls to zero on the edge.
+    """Tip and edge: the first angle at which h = |tip - P|^2 - ((tip - P) . u)^2 - r^2 falls to zero on it.
 
     h is a trigonometric polynomial of second degree, so |h''| <= M. No root lies before the root of
-    |h| + |h|' x - M x^2 / 2: steps to it never pass a root and converge quadratically. Entries beside the edge's
-    ends, and what is inside the tube about its line, are walked through.
+    |h| + |h|' x - M x^2 / 2: steps to it never pass a root and converge quadratically. Entries beside the
+    edge's ends, and what is inside the tube about its line, are walked through.
     """
     square = np.einsum("kj,kj->k", side, side)
     u = side / np.sqrt(square)[:, None]

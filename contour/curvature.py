@@ -1,10 +1,10 @@
 """Normals and curvature of the smooth surface that a mesh samples.
 
-Vertex normals weigh faces as Max1999 does, which is exact on spheres. Where a wide flat meets the narrow facets of a
-fillet the narrow ones would tilt the flat; there faces count by their area instead. The shape operator is fitted on each face to
-the change of these normals and averaged to the vertices (Rusinkiewicz2004). Vertices on creases are split, one copy
-for each smooth patch, so that a flat side is flat up to its edge. Curvature is positive where the surface bends away
-from the side its normal points to.
+Vertex normals weigh faces as Max1999 does, which is exact on spheres. Where a wide flat meets the narrow
+facets of a fillet the narrow ones would tilt the flat; there faces count by their area instead. The shape
+operator is fitted on each face to the change of these normals and averaged to the vertices
+(Rusinkiewicz2004). Vertices on creases are split, one copy for each smooth patch, so that a flat side is flat
+up to its edge. Curvature is positive where the surface bends away from the side its normal points to.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["SmoothSurface"]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-EVEN = 4.0
+EVEN = 6.0
 """Up to this ratio the areas of the faces about a vertex are alike; beyond its square they are not at all."""
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # the six entries of a symmetric tensor
 
@@ -41,19 +41,22 @@ class SmoothSurface:
         tensors = _corner_tensors(points, topology.normals, self.normals[self._corners])
         self.tensors: FloatArray = _average(tensors, weights, self._corners, topology.patch_count)
         """S of the split vertices (p, 6) [1/m]: xx, yy, zz, xy, xz, yz."""
-        mass = np.bincount(self._corners.reshape(-1), weights.reshape(-1), topology.patch_count)
+        flat = weights.reshape(-1)
+        mass = np.asarray(
+            np.bincount(self._corners.reshape(-1), flat, topology.patch_count), dtype=np.float64
+        )
         for _ in range(smoothing):
             self.tensors = _smoothed(self.tensors, mass, self._corners)
 
     def normal(self, face: IntArray, barycentric: FloatArray) -> FloatArray:
         """Unit normals (k, 3) at barycentric coordinates (k, 3) of faces (k,)."""
         mixed = np.einsum("kc,kcj->kj", barycentric, self.normals[self._corners[face]])
-        return mixed / np.linalg.norm(mixed, axis=1)[:, None]
+        return np.asarray(mixed / np.linalg.norm(mixed, axis=1)[:, None])
 
     def shape_operator(self, face: IntArray, barycentric: FloatArray) -> FloatArray:
         """S (k, 3, 3) [1/m] there; it maps tangent steps to changes of the normal."""
         mixed = np.einsum("kc,kcs->ks", barycentric, self.tensors[self._corners[face]])
-        return mixed[:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(-1, 3, 3)
+        return np.asarray(mixed[:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(-1, 3, 3))
 
 
 def _vertex_normals(topology: Topology, points: FloatArray) -> FloatArray:
@@ -100,9 +103,9 @@ def _corner_areas(points: FloatArray, areas: FloatArray) -> FloatArray:
     cosine = following + previous - squares  # 2 |a| |b| cos(angle at the corner)
     double = 2.0 * areas[:, None]
     # Voronoi: (|b|^2 cot B + |c|^2 cot C) / 8, with cot = cosine / (4 area).
-    voronoi = (
-        following * np.roll(cosine, -1, axis=1) + previous * np.roll(cosine, 1, axis=1)
-    ) / np.where(double > 0.0, 16.0 * double, 1.0)
+    voronoi = (following * np.roll(cosine, -1, axis=1) + previous * np.roll(cosine, 1, axis=1)) / np.where(
+        double > 0.0, 16.0 * double, 1.0
+    )
     obtuse = cosine < 0.0
     mixed = np.where(obtuse, 0.5, 0.25) * areas[:, None]
     return np.where(obtuse.any(axis=1)[:, None], mixed, voronoi)
@@ -131,14 +134,16 @@ def _corner_tensors(points: FloatArray, face_normal: FloatArray, normals: FloatA
         s = (q + adjugate @ q @ adjugate / determinant[:, None, None]) / (2.0 * trace[:, None, None])
     s = np.where(np.isfinite(s), s, 0.0)
     total = 1.0 + np.einsum("fj,fcj->fc", face_normal, normals)
-    total = np.where(total > 1e-6, total, 1e-6)[..., None]  # a corner normal against its face: nothing to turn
+    total = np.maximum(total, 1e-6)[..., None]  # a corner normal against its face: nothing to turn
     both = face_normal[:, None] + normals
     u = u[:, None] - np.einsum("fcj,fj->fc", normals, u)[..., None] / total * both
     v = v[:, None] - np.einsum("fcj,fj->fc", normals, v)[..., None] / total * both
     a, b, c = s[:, 0, 0, None], s[:, 0, 1, None], s[:, 1, 1, None]
     return np.stack(
         [
-            a * u[..., i] * u[..., j] + b * (u[..., i] * v[..., j] + v[..., i] * u[..., j]) + c * v[..., i] * v[..., j]
+            a * u[..., i] * u[..., j]
+            + b * (u[..., i] * v[..., j] + v[..., i] * u[..., j])
+            + c * v[..., i] * v[..., j]
             for i, j in _PAIRS
         ],
         axis=-1,

@@ -1,8 +1,8 @@
 """When a moving straight beam first touches a mesh, and where: exact in float64, thousands of beams at once.
 
-A fan of embree rays proposes one face per beam; its exact travel is an upper bound of the answer. Then all faces that
-meet the swept region up to this bound are fetched from the tree and solved exactly, so the rays cost or save time
-but never decide.
+A fan of embree rays proposes one face per beam; its exact travel is an upper bound of the answer. Then all
+faces that meet the swept region up to this bound are fetched from the tree and solved exactly, so the rays
+cost or save time but never decide.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ CHUNK = 512
 SLIDE_FAN, SLIDE_FAN_FINE = 16, 6
 """Rays along the motion from points of the beam, and between the best one's neighbours."""
 TURN_FAN, TURN_ROUNDS = 8, 3
-"""Rays along the beam at angles of the sweep, and how often the step before the first hit is divided again."""
+"""Rays along the beam at angles of the sweep, and how often the step before the first hit is divided again.
+"""
 TIE = 1e-7
 """Parts of the surface within this distance of the beam at the touch count as touched as well [m]."""
 SLACK = 1e-9
@@ -74,7 +75,7 @@ def _pick(mask: NDArray[np.bool_], owner: IntArray, n: int) -> IntArray:
 
 
 class FirstContactSolver:
-    """First touches of beams with the triangles (f, 3, 3) [m]; their coordinates should be near the origin."""
+    """First touches of beams with triangles (f, 3, 3) [m] whose coordinates are near the origin."""
 
     def __init__(self, triangles: FloatArray) -> None:
         self.triangles = np.ascontiguousarray(triangles)
@@ -133,7 +134,9 @@ class FirstContactSolver:
         return owner.take(row), self.bvh.leaf_faces.take(leaf.take(row), axis=0)[np.arange(len(row)), slot]
 
     def _square(self, motions: Motions, owner: IntArray, face: IntArray) -> FloatArray:
-        """Corners (k, 3, 3) along the beam, ahead of it in the swept plane, and normal to that, from the base."""
+        """Corners (k, 3, 3) along the beam, ahead of it in the swept plane, and normal to that, from the
+        base.
+        """
         axes = np.stack(
             [motions.direction, np.cross(motions.frame[:, 2], motions.direction), motions.frame[:, 2]], axis=1
         )
@@ -219,9 +222,8 @@ class FirstContactSolver:
             motions, np.clip(share[rows, best][:, None] + around, 0.0, 1.0)
         )
         finer = np.argmin(fine_travel, axis=1)
-        return np.where(
-            fine_travel[rows, finer] < travel[rows, best], fine_face[rows, finer], face[rows, best]
-        )
+        nearer = fine_travel[rows, finer] < travel[rows, best]
+        return np.asarray(np.where(nearer, fine_face[rows, finer], face[rows, best]))
 
     def _rays_ahead(self, motions: Motions, share: FloatArray) -> tuple[IntArray, FloatArray]:
         k = share.shape[1]
@@ -351,7 +353,6 @@ def _reduce(motions: Motions, owner: IntArray, face: IntArray, pieces: Pieces) -
 
 def _spread(motions: Motions, touches: Touches, owner: IntArray, face: IntArray, pieces: Pieces) -> None:
     """The interval of the beam that lies within TIE of the surface at the touch."""
-    n = len(motions.base)
     reach = touches.travel + (TIE / motions.length if motions.turning else TIE)
     free = np.isfinite(touches.travel) & (touches.where != Where.THROUGH)
     near = np.nonzero((pieces.travel <= reach.take(owner)) & free.take(owner))[0]
@@ -369,9 +370,7 @@ def _spread(motions: Motions, touches: Touches, owner: IntArray, face: IntArray,
     _note_ends(touches, owner, face, np.minimum(ends[:, 0], ends[:, 1]), np.maximum(ends[:, 0], ends[:, 1]))
 
 
-def _note_ends(
-    touches: Touches, owner: IntArray, face: IntArray, low: FloatArray, high: FloatArray
-) -> None:
+def _note_ends(touches: Touches, owner: IntArray, face: IntArray, low: FloatArray, high: FloatArray) -> None:
     """Fill in the touched interval of each beam from those (low, high) of the faces it touches."""
     n = len(touches.travel)
     least = _first_of(low, owner, n)

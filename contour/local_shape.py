@@ -1,8 +1,9 @@
 """What the surface is like where a beam touches it: normal, kind of contact, curvature along and across.
 
-Between creases the mesh stands for the smooth surface it samples, on creases for the crease. Directions at a side
-contact: d along the beam, n the normal square to it, t = d x n across. Seen along d the body has a silhouette in the
-plane of n and t; with the shape operator [[a, b], [b, c]] in (d, t) its curvature is c - b^2 / a, not c.
+Between creases the mesh stands for the smooth surface it samples, on creases for the crease. Directions at a
+side contact: d along the beam, n the normal square to it, t = d x n across. Seen along d the body has a
+silhouette in the plane of n and t; with the shape operator [[a, b], [b, c]] in (d, t) its curvature is c -
+b^2 / a, not c.
 """
 
 from __future__ import annotations
@@ -87,9 +88,11 @@ class FirstContact:
     edge_direction: FloatArray
     """Unit, along the touched crease (n, 3); zero where there is none."""
     edge_interval: FloatArray
-    """Offsets along t = direction x normal at which the crease's segment ends, the lesser first (n, 2) [m]."""
+    """Offsets along t = direction x normal at which the crease's segment ends, the lesser first (n, 2) [m].
+    """
     dihedral: FloatArray
-    """Angle between the two sides of the crease (n,) [rad], pi at the rim of a sheet; 0 where there is none."""
+    """Angle between the two sides of the crease (n,) [rad], pi at the rim of a sheet; 0 where there is none.
+    """
     touching: BoolArray
     """Whether the beam touched where it stood, before any motion (n,)."""
     line: BoolArray
@@ -263,7 +266,8 @@ def _edges(topology: Topology, rows: _Rows, barycentric: FloatArray) -> IntArray
     corner = on & topology.sharp[edges]
     for i in range(3):
         corner[:, i] &= _runs_along(topology, rows, edges[:, i])
-    local = np.where(corner.any(axis=1), corner.argmax(axis=1), np.where(on.any(axis=1), on.argmax(axis=1), -1))
+    local = np.where(on.any(axis=1), on.argmax(axis=1), -1)
+    local = np.where(corner.any(axis=1), corner.argmax(axis=1), local)
     local = np.where(rows.line, local, np.where(rows.where < Where.TIP, rows.where, -1))
     edge = np.where(local >= 0, edges[k, local], -1)
     # At a vertex the crease through it is what is felt, whichever edge was met first.
@@ -319,7 +323,7 @@ def _normals(
 
 
 def _corner_normal(topology: Topology, along: FloatArray, motion: FloatArray, edge: IntArray) -> FloatArray:
-    """For creases along the beam: against the motion, but no further round than the crease's two sides face."""
+    """For creases along the beam: against the motion, but no further round than the two sides face."""
     faces = topology.edge_faces[edge]
     faces = np.where(faces >= 0, faces, faces[:, :1])
     sides = topology.normals[faces]
@@ -373,9 +377,7 @@ def _curvatures(
     along_beam = _runs_along(topology, rows, edge)
     bluff = np.where(crease & along_beam, turn, np.where(crease, np.inf, a))
     contact.curvature_along[at] = np.where(rows.line, np.inf, bluff)
-    contact.curvature_across[at] = np.where(
-        crease, np.where(along_beam, np.inf, turn / square), across
-    )
+    contact.curvature_across[at] = np.where(crease, np.where(along_beam, np.inf, turn / square), across)
 
 
 def _lift(
@@ -404,11 +406,16 @@ def _lift(
 def _share(point: FloatArray, start: FloatArray, stop: FloatArray) -> FloatArray:
     side = stop - start
     share = np.einsum("kj,kj->k", point - start, side) / np.einsum("kj,kj->k", side, side)
-    return np.clip(share, 0.0, 1.0)
+    return np.asarray(np.clip(share, 0.0, 1.0))
 
 
 def _creases(
-    contact: FirstContact, topology: Topology, at: IntArray, point: FloatArray, edge: IntArray, crease: BoolArray
+    contact: FirstContact,
+    topology: Topology,
+    at: IntArray,
+    point: FloatArray,
+    edge: IntArray,
+    crease: BoolArray,
 ) -> None:
     at, point, edge = at[crease], point[crease], edge[crease]
     ends = topology.vertices[topology.edge_vertices[edge]]

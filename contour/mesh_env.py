@@ -1,7 +1,8 @@
 """A mesh scene that can be touched: first contacts of moving beams, local shape, silhouettes, free segments.
 
-All lengths are metres and all angles radians; points and directions are in the scene's world frame. A contact's
-normal faces the side the beam came from, whichever way the mesh is wound; no question is ever asked about inside.
+All lengths are metres and all angles radians; points and directions are in the scene's world frame. A
+contact's normal faces the side the beam came from, whichever way the mesh is wound; no question is ever asked
+about inside.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ class MeshEnvironment:
     @property
     def triangles(self) -> FloatArray:
         """Vertices of the faces (f, 3, 3) [m], in the world."""
-        return self._solver.triangles + self._centre
+        return np.asarray(self._solver.triangles + self._centre)
 
     @property
     def rays_cast(self) -> int:
@@ -120,7 +121,7 @@ class MeshEnvironment:
         """Whether each straight segment from start (n, 3) to end (n, 3) [m] meets any body (n,)."""
         start, end = _vectors("starts", starts), _vectors("ends", ends)
         if start.shape != end.shape:
-            raise UsageError(f"starts {start.shape} and ends {end.shape} of segments differ in shape: give pairs")
+            raise UsageError(f"segments have starts {start.shape} but ends {end.shape}: give pairs")
         return self._solver.rays.blocked(start - self._centre, end - self._centre)
 
     def profile(
@@ -138,10 +139,10 @@ class MeshEnvironment:
     ) -> FloatArray:
         """The silhouette seen along the beam around n contacts: heights (n, m) [m] along the normal.
 
-        The beam, its direction kept, is laid on the bodies at lateral offsets along t = direction x normal. The
-        height is that of its axis above the contact, positive along the normal; between creases it is that of
-        the smooth surface that the mesh samples. It is -inf where nothing is met within the depth, and the rise
-        where something already stands there.
+        The beam, its direction kept, is laid on the bodies at lateral offsets along t = direction x normal.
+        The height is that of its axis above the contact, positive along the normal; between creases it is
+        that of the smooth surface that the mesh samples. It is -inf where nothing is met within the depth,
+        and the rise where something already stands there.
 
         Args:
             points: on the beam's axis at the contacts (n, 3) [m].
@@ -162,7 +163,7 @@ class MeshEnvironment:
         rise = widest if rise is None else rise
         depth = 2.0 * widest if depth is None else depth
         if not rise + depth > 0.0:
-            raise UsageError(f"profile has rise {rise} m and depth {depth} m: together they must be above zero")
+            raise UsageError(f"profile has rise {rise} m and depth {depth} m: their sum must be above zero")
         base = point - np.asarray(distances, dtype=np.float64)[:, None] * direction + rise * normal
         lateral = np.cross(direction, normal)
         m = offset.shape[1]
@@ -212,7 +213,7 @@ def _frictions(friction: float | Sequence[float], names: tuple[str, ...]) -> Flo
     values = np.atleast_1d(np.asarray(friction, dtype=np.float64))
     if values.shape not in {(1,), (len(names),)} or not (np.isfinite(values) & (values >= 0.0)).all():
         raise UsageError(
-            f"friction {friction!r} does not suit {len(names)} bodies: one coefficient for all, or one for each"
+            f"friction {friction!r} does not suit {len(names)} bodies: give one coefficient, or one each"
         )
     return np.broadcast_to(values, (len(names),)).copy()
 

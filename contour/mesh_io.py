@@ -1,7 +1,7 @@
 """From mesh files and trimesh scenes to plain triangles in metres, one body per placed geometry.
 
-Meshes come as they are: open, flipped, several bodies, transforms. What cannot be touched is dropped (faces without
-area); what makes no sense is refused in one line that names the file and the remedy.
+Meshes come as they are: open, flipped, several bodies, transforms. What cannot be touched is dropped (faces
+without area); what makes no sense is refused in one line that names the file and the remedy.
 """
 
 from __future__ import annotations
@@ -79,12 +79,12 @@ def load_scene(
     declared = _canonical(scene.units)
     if declared is not None:
         if unit is not None and declared != unit:
-            raise UsageError(f"mesh {path} is in {declared} by its own account, not in {unit}: leave out --unit")
+            raise UsageError(f"mesh {path} says it is in {declared}, not in {unit}: leave out --unit")
         scale = METRES_PER[declared]
     placed = np.eye(4) if transform is None else np.asarray(transform, dtype=np.float64)
     if placed.shape != (4, 4) or not np.isfinite(placed).all():
-        raise UsageError(f"transform of mesh {path} has shape {placed.shape}: it must be a finite 4 x 4 matrix")
-    scene.apply_transform(placed @ np.diag([scale, scale, scale, 1.0]))
+        raise UsageError(f"transform of mesh {path} is {placed.shape}: it must be a finite 4 x 4 matrix")
+    scene.apply_transform(placed @ np.diag([scale, scale, scale, 1.0]))  # type: ignore[no-untyped-call]
     for geometry in scene.geometry.values():
         geometry.units = "m"
     return scene
@@ -135,7 +135,7 @@ def _read(path: Path) -> trimesh.Scene:
     except Exception as error:
         # trimesh raises whatever its many readers raise; one line of it says what is wrong with the file.
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise UsageError(f"mesh {path} cannot be read ({reason}): export it as PLY, STL, OBJ or GLB") from error
+        raise UsageError(f"mesh {path} cannot be read ({reason}): export it again, as PLY or STL") from error
     if not any(isinstance(geometry, trimesh.Trimesh) for geometry in scene.geometry.values()):
         raise UsageError(f"mesh {path} has no triangles: export a surface, not points or curves")
     return scene
@@ -157,7 +157,7 @@ def as_triangles(mesh_or_scene: trimesh.Trimesh | trimesh.Scene) -> Triangles:
         at = np.asarray(geometry.vertices, dtype=np.float64) @ pose[:3, :3].T + pose[:3, 3]
         used = np.asarray(geometry.faces, dtype=np.int64)
         if not np.isfinite(at[used]).all():
-            raise UsageError(f"mesh {node} has vertices that are not finite numbers: repair or export it again")
+            raise UsageError(f"mesh {node} has vertices that are not numbers: repair or export it again")
         vertices.append(at)
         faces.append(used + count)
         body.append(np.full(len(used), len(names), dtype=np.int64))

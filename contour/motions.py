@@ -1,4 +1,4 @@
-"""Beams that move: a straight segment that translates, or that turns about its base, and the plane it sweeps."""
+"""Straight beams that translate, or that turn about their bases, and the planes they sweep."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Motions:
         )
 
     def moved(self, travel: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Base (n, 3) [m], direction (n, 3) and the way the beam's points move (n, 3) after the travel (n,)."""
+        """Base (n, 3) [m], direction and way of the beam's points (n, 3) after the travel (n,)."""
         if not self.turning:
             return self.base + travel[:, None] * self.advance, self.direction, self.advance
         c, s = np.cos(travel)[:, None], np.sin(travel)[:, None]
@@ -66,7 +66,8 @@ def slides(base: FloatArray, direction: FloatArray, length: FloatArray, translat
     limit = np.linalg.norm(translation, axis=1)
     # Beams that stay where they are are only asked whether they touch; any plane through them will do.
     still = limit <= 0.0
-    advance = np.where(still[:, None], _any_square(direction), translation) / np.where(still, 1.0, limit)[:, None]
+    way = np.where(still[:, None], _any_square(direction), translation)
+    advance = way / np.where(still, 1.0, limit)[:, None]
     along = np.einsum("ij,ij->i", advance, direction)
     # Twice, because the first difference loses digits where the motion is nearly along the beam.
     across = advance - along[:, None] * direction

@@ -1,8 +1,9 @@
 """Straight rays through embree: which face first, or whether any.
 
-Embree works in float32, so nothing here is exact: callers use a hit as a hint or a bound and decide in float64.
-The mesh is moved to the origin and scaled to millimetres before it is rounded, which keeps the error of a hit below
-about 1e-7 m for objects of 0.3 m. One ray in some hundred thousand aimed at a vertex or an edge may slip through.
+Embree works in float32, so nothing here is exact: callers use a hit as a hint or a bound and decide in
+float64. The mesh is moved to the origin and scaled to millimetres before it is rounded, which keeps the error
+of a hit below about 1e-7 m for objects of 0.3 m. One ray in some hundred thousand aimed at a vertex or an
+edge may slip through.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class RayCaster:
             from embreex.rtcore_scene import EmbreeScene
         except ImportError as error:
             raise UsageError(
-                "embreex is not installed, and rays through meshes need it: install it with 'pip install embreex'"
+                "embreex is not installed, and meshes are asked through it: run 'pip install embreex'"
             ) from error
         self._scene = EmbreeScene()
         vertices = (triangles.reshape(-1, 3) * _SCALE).astype(np.float32)
@@ -41,7 +42,7 @@ class RayCaster:
     def first_hits(
         self, origins: FloatArray, directions: FloatArray, reach: FloatArray
     ) -> tuple[IntArray, FloatArray]:
-        """The nearest face along each ray (k,), -1 where there is none, and how far it is in units of |direction|.
+        """The nearest face along each ray (k,), -1 for none, and how far it is in units of |direction|.
 
         Args:
             origins: (k, 3) [m].
@@ -61,7 +62,8 @@ class RayCaster:
     def blocked(self, starts: FloatArray, ends: FloatArray) -> NDArray[np.bool_]:
         """Whether anything stands between start (k, 3) and end (k, 3) [m] of each segment."""
         self.rays_cast += len(starts)
-        # Without dists embreex would look to infinity: 1 means the far end, because directions are whole segments.
+        # Without dists embreex would look to infinity: 1 means the far end, because directions are whole
+        # segments.
         found = self._scene.run(
             (starts * _SCALE).astype(np.float32),
             ((ends - starts) * _SCALE).astype(np.float32),

@@ -1,9 +1,10 @@
 """Triangles against a swept plane: the segment each leaves in it, and the travel at which the beam meets it.
 
-A beam that translates, or that turns about its base, sweeps a plane. In plane coordinates (x along the beam, y along
-the motion) every triangle that crosses the plane is a straight segment, and on a segment clipped to the beam's reach
-the travel is monotone: the first touch is at one of its two ends (docs/derivations-geometry.md). An end on a mesh
-edge is a touch of the beam's side; an end made by the clip is a touch of its tip or of its base.
+A beam that translates, or that turns about its base, sweeps a plane. In plane coordinates (x along the beam,
+y along the motion) every triangle that crosses the plane is a straight segment, and on a segment clipped to
+the beam's reach the travel is monotone: the first touch is at one of its two ends (docs/derivations-
+geometry.md). An end on a mesh edge is a touch of the beam's side; an end made by the clip is a touch of its
+tip or of its base.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class Pieces:
 def plane_segments(
     local: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray, IntArray]:
-    """Where triangles (k, 3 vertices, 3 coordinates) that cross z = 0 cut it: xa, ya, xb, yb and their edges."""
+    """Where triangles (k, 3 corners, 3 coordinates) cut z = 0, which they cross: xa, ya, xb, yb, edges."""
     z = local[..., 2]
     above = z >= 0.0
     one_above = above.sum(axis=1) == 1

@@ -1,7 +1,7 @@
 """What meets what in a mesh: welded vertices, edges with their dihedral angles, sharp ones, smooth patches.
 
-Nothing is assumed of the mesh: it may be open, wound both ways, or have edges with more than two faces. Faces are
-turned to agree with their neighbours where that is possible; which side is outside is never asked.
+Nothing is assumed of the mesh: it may be open, wound both ways, or have edges with more than two faces. Faces
+are turned to agree with their neighbours where that is possible; which side is outside is never asked.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ SHARP_AMONG_FLAT = np.deg2rad(30.0)
 """An edge that turns more than this is sharp where the edges around it turn much less [rad]."""
 MUCH_LESS = 3.0
 """By this factor: a fixed angle alone would call every edge of a coarse cylinder sharp."""
+_KEY = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0x27D4EB2F165667C5], np.uint64)
 CURVE_TURN = np.deg2rad(50.0)
 """A chain of sharp edges that turns more than this at a vertex has a corner there [rad]."""
 
@@ -60,11 +61,11 @@ class Topology:
     crease_at: IntArray
     """One of the sharp edges at each welded vertex (v,), -1 where there is none."""
     curve: FloatArray
-    """Curvature vector of the crease through each welded vertex (v, 3) [1/m]; zero off creases and at corners."""
+    """Curvature vector of the crease through each welded vertex (v, 3) [1/m], else and at corners zero."""
 
 
 def build_topology(vertices: FloatArray, faces: IntArray, body: IntArray) -> Topology:
-    """The topology of triangles: vertices (v, 3) [m], faces (f, 3), and the body each face belongs to (f,)."""
+    """The topology of triangles: vertices (v, 3) [m], faces (f, 3), and the body of each face (f,)."""
     welded, corners = _weld(vertices, faces, body)
     first = welded[corners[:, 0]]
     cross = np.cross(welded[corners[:, 1]] - first, welded[corners[:, 2]] - first)
@@ -103,14 +104,13 @@ def _weld(vertices: FloatArray, faces: IntArray, body: IntArray) -> tuple[FloatA
     extent = float(np.ptp(vertices[used], axis=0).max())
     cell = np.round((vertices - vertices[used].min(axis=0)) / (WELD * extent)).astype(np.int64)
     # One odd 64-bit multiplier per coordinate: different cells share a key about once in 1e9 meshes.
-    keys = cell.view(np.uint64) * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
-    keys[:, 0] += owner.view(np.uint64) * np.uint64(0x27D4EB2F165667C5)
-    _, index, inverse = np.unique(keys[:, 0] + keys[:, 1] + keys[:, 2], return_index=True, return_inverse=True)
+    keys = np.column_stack([cell, owner]).view(np.uint64) * _KEY
+    _, index, inverse = np.unique(keys.sum(axis=1), return_index=True, return_inverse=True)
     return vertices[index], inverse[faces].astype(np.int64)
 
 
 def _edges(corners: IntArray) -> tuple[IntArray, IntArray, IntArray, BoolArray]:
-    """face_edges, edge_vertices, edge_faces, and whether an edge's two faces run along it the opposite way."""
+    """face_edges, edge_vertices, edge_faces, and whether an edge's two faces run along it opposite ways."""
     start = corners.reshape(-1)
     stop = np.roll(corners, -1, axis=1).reshape(-1)
     key = np.minimum(start, stop) * (corners.max() + 1) + np.maximum(start, stop)
@@ -141,7 +141,8 @@ def _agreement(edge_faces: IntArray, opposed: BoolArray, faces: int) -> FloatArr
     graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(2 * faces, 2 * faces))
     _, label = connected_components(graph, directed=False)
     as_is, turned = label[:faces], label[faces:]
-    # Of the two versions of a connected piece the one met first is kept. A one-sided piece has a single version.
+    # Of the two versions of a connected piece the one met first is kept. A one-sided piece has a single
+    # version.
     return np.where(as_is <= turned, 1.0, -1.0)
 
 
@@ -160,7 +161,7 @@ def _sharp(dihedral: FloatArray, face_edges: IntArray, edge_faces: IntArray) -> 
     own = face_edges[edge_faces[doubtful]].reshape(-1, 6) == doubtful[:, None]
     around = np.sort(np.where(own, np.inf, around), axis=1)
     sharp[doubtful] = dihedral[doubtful] > MUCH_LESS * 0.5 * (around[:, 1] + around[:, 2])
-    return sharp
+    return np.asarray(sharp)
 
 
 def _patches(
@@ -186,7 +187,7 @@ def _patches(
 
 
 def _crease_curvature(vertices: FloatArray, creases: IntArray) -> FloatArray:
-    """Turn per length of chains of sharp edges, at vertices where exactly two of them meet without a corner."""
+    """Turn per length of chains of sharp edges, where exactly two of them meet without a corner."""
     curve = np.zeros((len(vertices), 3))
     at = creases.reshape(-1)
     other = creases[:, ::-1].reshape(-1)
