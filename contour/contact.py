@@ -30,11 +30,11 @@ from contour.laws import (
     softening,
 )
 from contour.response import (
+    LEAST_ANGLE,
     CycleResponse,
     PushRequest,
     PushResponse,
     as_asked,
-    compliance_ratio,
     refine,
     request,
     request_tip,
@@ -99,9 +99,11 @@ def push_response(
     >>> round(float(push.compliance_ratio), 4), round(float(push.delta), 3)
     (0.9994, 3.145)
     """
+    angle = np.asarray(theta, dtype=np.float64)[..., None]
+    angle = np.where((angle >= 0.0) & (angle < LEAST_ANGLE), LEAST_ANGLE, angle)
     cycle = push_cycle(
         eps,
-        np.asarray(theta, dtype=np.float64)[..., None],
+        angle,
         distance=distance,
         friction=friction,
         radius_along=radius_along,
@@ -109,7 +111,7 @@ def push_response(
     )
     return PushResponse(
         delta=cycle.delta[..., 0],
-        compliance_ratio=compliance_ratio(theta, cycle.moment_angle),
+        compliance_ratio=(angle / cycle.moment_angle)[..., 0],
         slipped_off=cycle.slipped_off[..., 0],
         slide=cycle.slide[..., 0],
         arc_length=cycle.arc_length[..., 0],
@@ -196,10 +198,10 @@ def push_cycle_tip(
     lifted = 1.0 - 0.1 * r * np.tan(chi) * np.cos(path.delta - np.pi - asked.eps)
     leant = np.tan(np.arctan(asked.friction * path.along) + 0.5 * r - chi)
     moment = path.lever * lifted / (1.0 + (15.0 / 14.0) * r * r - 0.2 * leant * r)
-    scale = asked.distance[..., None]
+    scale, near = asked.distance[..., None], asked.share.T.reshape(asked.shape)
     return CycleResponse(
         delta=as_asked(asked, wanted, path.delta),
-        moment_angle=as_asked(asked, wanted, moment),
+        moment_angle=as_asked(asked, wanted, moment) * near,
         slipped_off=as_asked(asked, wanted, path.slipped_off),
         slide=as_asked(asked, wanted, path.slide) * scale,
         arc_length=np.broadcast_to(scale, asked.shape).copy(),
@@ -209,10 +211,10 @@ def push_cycle_tip(
 def _answer(asked: PushRequest, profile: Profile) -> CycleResponse:
     path_angles, wanted = refine(asked.angles, STEPS_OUT)
     path = follow(asked.eps, path_angles, asked.friction, profile)
-    scale = asked.distance[..., None]
+    scale, near = asked.distance[..., None], asked.share.T.reshape(asked.shape)
     return CycleResponse(
         delta=as_asked(asked, wanted, path.delta),
-        moment_angle=as_asked(asked, wanted, moment_angle(path, asked.friction, asked.along)),
+        moment_angle=as_asked(asked, wanted, moment_angle(path, asked.friction, asked.along)) * near,
         slipped_off=as_asked(asked, wanted, path.slipped_off),
         slide=as_asked(asked, wanted, path.slide) * scale,
         arc_length=as_asked(asked, wanted, path.arc_length) * scale,

@@ -17,7 +17,6 @@ from contour.response import (
     PushRequest,
     PushResponse,
     as_asked,
-    compliance_ratio,
     refine,
     request,
     request_tip,
@@ -76,9 +75,11 @@ def push_response(
     >>> round(float(push.compliance_ratio), 4), bool(push.converged)
     (1.0024, True)
     """
+    angle = np.asarray(theta, dtype=np.float64)[..., None]
+    angle = np.where((angle >= 0.0) & (angle < LEAST_ANGLE), LEAST_ANGLE, angle)
     cycle = push_cycle(
         eps,
-        np.asarray(theta, dtype=np.float64)[..., None],
+        angle,
         distance=distance,
         friction=friction,
         radius_along=radius_along,
@@ -86,7 +87,7 @@ def push_response(
     )
     return RodPushResponse(
         delta=cycle.delta[..., 0],
-        compliance_ratio=compliance_ratio(theta, cycle.moment_angle, LEAST_ANGLE),
+        compliance_ratio=(angle / cycle.moment_angle)[..., 0],
         slipped_off=cycle.slipped_off[..., 0],
         slide=cycle.slide[..., 0],
         arc_length=cycle.arc_length[..., 0],
@@ -172,10 +173,10 @@ def _follow(asked: PushRequest, body: Body, profile: Profile, friction: FloatArr
     path_angles, wanted = refine(asked.angles, STEPS_OUT)
     reduced = follow(asked.eps, path_angles, friction, profile)
     path = follow_rod(body, path_angles, reduced)
-    scale = asked.distance[..., None]
+    scale, near = asked.distance[..., None], asked.share.T.reshape(asked.shape)
     return RodCycleResponse(
         delta=as_asked(asked, wanted, path.delta),
-        moment_angle=as_asked(asked, wanted, path.moment_angle),
+        moment_angle=as_asked(asked, wanted, path.moment_angle) * near,
         slipped_off=as_asked(asked, wanted, path.slipped_off),
         slide=as_asked(asked, wanted, path.slide) * scale,
         arc_length=as_asked(asked, wanted, path.arc_length) * scale,

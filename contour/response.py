@@ -26,8 +26,9 @@ MAX_ANGLE = 1.2
 """Largest push that the models take [rad]."""
 MAX_TILT = 1.4
 """Largest tilt of a tip's surface out of the sensing plane [rad]."""
-LEAST_ANGLE = 1e-7
-"""A push is never followed at less than this angle [rad]; its directions have their limits by then."""
+LEAST_ANGLE = 1e-5
+"""A push is never followed at less than this angle [rad]: its slips, of the order theta^2/100, drown in rounding, and
+its directions have their limits by then."""
 SHARPEST = 1e-9
 """Profile radii below this share of s are corners, on which the contact stays."""
 
@@ -71,6 +72,8 @@ class PushRequest(NamedTuple):
     """(n,), rad."""
     angles: FloatArray
     """(k, n), rad, none below the least angle."""
+    share: FloatArray
+    """(k, n), the angles asked for over these; 1 but near zero, where moments are proportional."""
     friction: FloatArray
     """mu, (n,)."""
     along: FloatArray
@@ -159,10 +162,12 @@ def request(
     s = np.broadcast_to(s, shape)
     path = np.broadcast_to(angles, (*shape, angles.shape[-1])).reshape(-1, angles.shape[-1])
     radius = np.where(np.abs(r_l) < SHARPEST * s, SHARPEST * s, r_l)
+    angles = np.maximum(path.T, least)
     flat = [np.broadcast_to(v, shape).ravel() for v in (e, mu, r / s, s / radius)]
     return PushRequest(
         eps=flat[0],
-        angles=np.maximum(path.T, least),
+        angles=angles,
+        share=path.T / angles,
         friction=flat[1],
         along=flat[2],
         bend=flat[3],
@@ -209,9 +214,3 @@ def request_tip(
 def as_asked(asked: PushRequest, wanted: NDArray[np.int64], values: NDArray[Number]) -> NDArray[Number]:
     """A field (k', n) of a followed path at the angles asked for, in the shape of the answer."""
     return np.ascontiguousarray(values[wanted].T).reshape(asked.shape)
-
-
-def compliance_ratio(theta: ArrayLike, moment: FloatArray, least: float = LEAST_ANGLE) -> FloatArray:
-    """C/c0 = theta/(|M| s/(3 EI)) of single pushes, from their moments (..., 1)."""
-    angle = np.maximum(np.asarray(theta, dtype=np.float64), least)
-    return np.asarray(angle / moment[..., 0])

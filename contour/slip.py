@@ -301,7 +301,7 @@ def _solve(
     for inner in INNER_STEPS:
         b, left = _improve(rows, turn, b, before, inner)
     on_body = np.ones(b.shape, dtype=np.bool_)
-    rest = np.flatnonzero(~(left <= SETTLED * depth))
+    rest = np.flatnonzero(~((left <= SETTLED * depth) & rows.profile.within(b)))
     if rest.size:
         b[rest], on_body[rest] = _solve_hard(
             rows.rows(rest),
@@ -355,7 +355,9 @@ def follow(eps: FloatArray, thetas: FloatArray, friction: FloatArray, profile: P
         part = slice(first, min(first + CHUNK, n))
         index = np.arange(part.start, part.stop)
         rows = _Rows(np.sin(eps[part]), np.cos(eps[part]), friction[part], profile.rows(index))
-        _follow_rows(rows, thetas[:, part], {k: v[:, part] for k, v in fields.items()}, slipped[:, part])
+        # Iterates of a push that runs away may overflow; they are caught by where they land.
+        with np.errstate(all="ignore"):
+            _follow_rows(rows, thetas[:, part], {k: v[:, part] for k, v in fields.items()}, slipped[:, part])
     return Path(slipped_off=slipped, **fields)
 
 
@@ -376,13 +378,15 @@ def _follow_rows(rows: _Rows, thetas: FloatArray, out: dict[str, FloatArray], sl
         gone |= ~on_body
         if gone.any():
             new = np.where(gone, b, new)
-        along_t, out_n, x, square, _, _ = _state(rows, turn, new)
+        along_t, out_n, x, square, force_t, force_n = _state(rows, turn, new)
         new_length = _arc_length(x, square)
         d_a, d_l = rows.profile.chord(new, b), new_length - length
         rate = np.divide(new - b, moved, out=np.zeros(n), where=moved != 0.0)
         lateral, along = d_a - before.slid, new_length - before.length
         b, length = new, new_length
-        slope = np.sqrt(np.maximum(square / (x * x) - 1.0, 0.0))
+        # |w| from its components: |p|^2 - x^2 would lose the digits of a small push.
+        force_y = 1.0 - x * turn[0]
+        slope = np.sqrt(force_t * force_t + force_n * force_n + force_y * force_y) / x
         towards = -(rows.sin_eps * along_t + rows.cos_eps * out_n)
         across = rows.sin_eps * out_n - rows.cos_eps * along_t
         out["delta"][step] = np.pi + np.arctan2(across, sine - turn[0] * towards)
