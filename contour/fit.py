@@ -53,7 +53,7 @@ _LOWER = np.array([np.log(2e-3), -np.inf, np.log(np.tan(np.deg2rad(0.3))), -0.3,
 _UPPER = np.array([np.log(1.0), np.inf, np.log(np.tan(np.deg2rad(45.0))), 4.0, 400.0])
 _MAX_STEP = np.array([0.5, 0.15, 0.7, 0.5, 5.0])
 _SETTLED = np.array([3e-5, 5e-4, 1e-2, 1e-2, 1e-1])
-_ITERATIONS = 14
+_ITERATIONS = 12
 _SMALL_GAIN = 0.01
 """Fall of the cost (a chi^2) in one iteration that is not worth another."""
 
@@ -188,8 +188,10 @@ def _response(data: PushData, x: FloatArray, antenna: Antenna) -> tuple[FloatArr
     return scale[..., None] * moment.reshape(variants, pushes, nodes)[..., keep], psi.reshape(variants, pushes, nodes)[..., keep]
 
 
-def _derivatives(data: PushData, x: FloatArray, antenna: Antenna) -> FloatArray:
-    """(P, 2B, 2, 5): derivatives of the force with respect to the state."""
+def _linearised(
+    data: PushData, x: FloatArray, antenna: Antenna
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Moment and direction psi (P, 2B) of the states, and the force's derivatives (P, 2B, 2, 5)."""
     clipped = x.copy()
     clipped[:, R_ALONG] = np.maximum(x[:, R_ALONG], 0.0)
     stack = np.repeat(clipped[None], len(_VARIED) + 1, axis=0)
@@ -201,7 +203,7 @@ def _derivatives(data: PushData, x: FloatArray, antenna: Antenna) -> FloatArray:
     derivative[..., LN_S] = -vectors[0]
     for i, parameter in enumerate(_VARIED):
         derivative[..., parameter] = (vectors[i + 1] - vectors[0]) / _STEP[parameter]
-    return derivative
+    return moment[0], psi[0], derivative
 
 
 def _held_weight(data: PushData, distance: FloatArray, unit: FloatArray, antenna: Antenna) -> FloatArray:
@@ -211,15 +213,9 @@ def _held_weight(data: PushData, distance: FloatArray, unit: FloatArray, antenna
     return np.asarray((-lever[:, None] * np.sum(data.gravity * unit, axis=-1))[..., None] * unit)
 
 
-def _normal_equations(
-    data: PushData, x: FloatArray, derivative: FloatArray, antenna: Antenna, error: ModelError
-) -> FloatArray:
-    """Information with everything that belongs to one push eliminated: (P, 6, 6), the last row for the residual.
-
-    ``derivative`` (P, 2B, 2, 5) may be that of a state nearby; the residual is always that of ``x``.
-    """
-    moments, psis = _response(data, x[None], antenna)
-    moment, psi = moments[0], psis[0]
+def _normal_equations(data: PushData, x: FloatArray, antenna: Antenna, error: ModelError) -> FloatArray:
+    """Information with everything that belongs to one push eliminated: (P, 6, 6), the last row for the residual."""
+    moment, psi, derivative = _linearised(data, x, antenna)
     pushes, bins = moment.shape
     distance = np.exp(x[:, LN_S])
     unit = np.stack((np.cos(psi), np.sin(psi)), axis=-1)
@@ -337,7 +333,7 @@ def fit(data: PushData, prior: Prior, start: FloatArray, antenna: Antenna, error
         rows = np.flatnonzero(local[data.contact] >= 0)
         part = data.take(rows, local[data.contact[rows]])
         state = trial[active][part.contact]
-        system = _normal_equations(part, state, _derivatives(part, state, antenna), antenna, error)
+        system = _normal_equations(part, state, antenna, error)
         total = _gather(system, part.contact, active.size)
         away = prior.mean[active] - trial[active]
         away = np.where(information[active] > 0.0, away, 0.0)
@@ -382,5 +378,5 @@ def expected_covariance(
         antenna: beam and sensor.
         error: of the forward model.
     """
-    system = _normal_equations(data, x, _derivatives(data, x, antenna), antenna, error)
+    system = _normal_equations(data, x, antenna, error)
     return np.linalg.inv(information + system[:, :5, :5] + 1e-12 * np.eye(5))

@@ -248,7 +248,7 @@ class MeshInstrument:
         found.kind[rows] = np.where(first.line[index], np.int8(Kind.LINE), kinds)
         # The beam's axis moves on the body's surface offset by the beam's radius.
         radius_along = np.where(along > 1.0 / SMALLEST_RADIUS, 0.0, 1.0 / np.maximum(along, 1.0))
-        radius_along = np.where(first.line[index], 0.0, radius_along)
+        radius_along = np.where(first.line[index] | tip, 0.0, radius_along)
         found.radius_along[rows] = np.minimum(radius_along, 1.0) + beam.radius
         flat = np.abs(across) < 1e-3
         radius_across = np.where(np.isinf(across), 0.0, 1.0 / np.where(flat | np.isinf(across), 1.0, across))

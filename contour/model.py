@@ -256,30 +256,24 @@ class ModelStrategy:
         """Fit the contacts ``rows`` to all their pushes, from each start, and keep the best."""
         work = self._here()
         data = PushData.concatenate(work.data)
-        local = np.full(work.pushes.size, -1)
-        local[rows] = np.arange(rows.size)
-        wanted = np.flatnonzero(local[data.contact] >= 0)
-        contact = local[data.contact[wanted]]
         prior = Prior(mean=work.prior.mean[rows], sigma=work.prior.sigma[rows])
-        best = np.full(rows.size, np.inf)
-        doubtful = np.arange(rows.size)
-        for start in starts:
-            # The other starts are only tried where the normal was hardly known.
-            inside = np.full(rows.size, -1)
-            inside[doubtful] = np.arange(doubtful.size)
-            keep = np.flatnonzero(inside[contact] >= 0)
-            part = data.take(wanted[keep], inside[contact[keep]])
-            few = Prior(mean=prior.mean[doubtful], sigma=prior.sigma[doubtful])
-            found = fit(part, few, start[doubtful], self._antenna, self._error)
-            better = found.cost < best[doubtful] - 1e-6
-            won = rows[doubtful[better]]
-            best[doubtful[better]] = found.cost[better]
-            work.mean[won] = found.mean[better]
-            work.covariance[won] = found.covariance[better]
-            work.misfit[won] = found.misfit[better]
-            doubtful = np.flatnonzero(prior.sigma[:, NU] >= SURE)
-            if doubtful.size == 0:
-                break
+        # The other starts are only tried where the normal was hardly known; all starts are fitted side by side.
+        doubtful = np.flatnonzero(prior.sigma[:, NU] >= SURE)
+        every = np.concatenate([np.arange(rows.size), *[doubtful for _ in starts[1:]]])
+        start = np.concatenate([starts[0], *[start[doubtful] for start in starts[1:]]])
+        pushes, contact = _pushes_of(data.contact, rows[every])
+        found = fit(
+            data.take(pushes, contact),
+            Prior(mean=prior.mean[every], sigma=prior.sigma[every]),
+            start,
+            self._antenna,
+            self._error,
+        )
+        order = np.lexsort((found.cost, every))
+        best = order[np.unique(every[order], return_index=True)[1]]
+        work.mean[rows] = found.mean[best]
+        work.covariance[rows] = found.covariance[best]
+        work.misfit[rows] = found.misfit[best]
 
     def _sigmas(self, rows: IntArray) -> FloatArray:
         """(n, 5) standard deviations, the model's error and the misfit in them."""
@@ -401,3 +395,13 @@ class ModelStrategy:
         slid = np.zeros(work.pushes.size, dtype=bool)
         np.logical_or.at(slid, data.contact, edge)
         return slid[rows]
+
+
+def _pushes_of(contact: IntArray, wanted: IntArray) -> tuple[IntArray, IntArray]:
+    """All pushes of the contacts ``wanted``, which may repeat: rows of the pushes, and the index into ``wanted``."""
+    order = np.argsort(contact, kind="stable")
+    first = np.searchsorted(contact[order], wanted, side="left")
+    count = np.searchsorted(contact[order], wanted, side="right") - first
+    index = np.repeat(np.arange(wanted.size), count)
+    place = np.arange(index.size) - np.repeat(np.cumsum(count) - count, count)
+    return order[np.repeat(first, count) + place], index
