@@ -79,7 +79,10 @@ class MeshEnvironment:
     ) -> Self:
         """The environment of a mesh or scene file; see :func:`contour.mesh_io.load_scene`."""
         scene = load_scene(path, unit=unit, transform=transform)
-        return cls(scene, friction=friction, smoothing=smoothing)
+        try:
+            return cls(scene, friction=friction, smoothing=smoothing)
+        except UsageError as error:
+            raise UsageError(f"{error} (from {path})") from error
 
     @property
     def triangles(self) -> FloatArray:

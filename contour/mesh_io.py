@@ -131,7 +131,8 @@ def _canonical(unit: str | None) -> str | None:
 
 def _read(path: Path) -> trimesh.Scene:
     try:
-        scene = trimesh.load_scene(path)
+        # Unprocessed: processing would drop what should be refused, such as vertices that are not numbers.
+        scene = trimesh.load_scene(path, process=False)
     except Exception as error:
         # trimesh raises whatever its many readers raise; one line of it says what is wrong with the file.
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
