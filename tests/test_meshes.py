@@ -173,7 +173,7 @@ def test_curvature_signs_follow_the_solid():
 
 @pytest.mark.parametrize("name", shapes.NAMES)
 def test_files_are_what_the_generator_makes(name, mesh_file, tmp_path):
-    """Stored or written now, a file is the generated mesh to single precision, in millimetres, and says so."""
+    """Stored or written now, a file is the mesh to single precision, in millimetres, and says so."""
     made = _mesh(name)
     shapes.write_mesh(tmp_path / "new.ply", shapes.TriangleMesh(made.vertices, made.faces), name)
     for path in (mesh_file(name), tmp_path / "new.ply"):
