@@ -1,8 +1,8 @@
 """The antenna's own numbers: beam, moment sensor, encoders, and what follows from them.
 
 The beam is straight, round and uniform, clamped to a rigid adaptor of length a at the centre of rotation. Its
-stiffness EI = E pi d^4 / 64 sets the scale of everything: at small angles an edge at distance s answers a turn theta
-with the moment 3 EI theta / s (Kaneko1998, (4)-(7) and (12)).
+stiffness EI = E pi d^4 / 64 sets the scale of everything: at small angles an edge at distance s answers a
+turn theta with the moment 3 EI theta / s (Kaneko1998, (4)-(7) and (12)).
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ class Beam:
         )
         if not 0.0 <= self.adaptor < self.length:
             raise UsageError(
-                f"antenna adaptor is {self.adaptor * 1e3:g} mm: it must be at least 0 and shorter than the beam "
-                f"({self.length * 1e3:g} mm)"
+                f"antenna adaptor is {self.adaptor * 1e3:g} mm: it must be at least 0 and shorter than the "
+                f"beam ({self.length * 1e3:g} mm)"
             )
 
     @property
@@ -92,7 +92,8 @@ class Beam:
     def sag(self) -> float:
         """Tip deflection of the horizontal beam [m], (43) of Kaneko1998 with its slip mended.
 
-        Printed: 8 rho g L^4 / (E d^4); a uniformly loaded cantilever gives w l^4 / (8 EI) = 8 rho_l g l^4 / (pi E d^4).
+        Printed: 8 rho g L^4 / (E d^4); a uniformly loaded cantilever gives
+        w l^4 / (8 EI) = 8 rho_l g l^4 / (pi E d^4).
 
         >>> round(Beam().sag / Beam().length, 4)
         0.0108
@@ -106,7 +107,8 @@ class Beam:
         """
         x = np.maximum(np.asarray(distance, dtype=np.float64) - self.adaptor, 0.0)
         free = self.length - self.adaptor
-        return self.line_weight * x**2 * (6.0 * free**2 - 4.0 * free * x + x**2) / (24.0 * self.stiffness)
+        shape = x**2 * (6.0 * free**2 - 4.0 * free * x + x**2)
+        return np.asarray(self.line_weight * shape / (24.0 * self.stiffness))
 
     @property
     def gravity_moment(self) -> float:
@@ -137,7 +139,9 @@ class Sensor:
             touch_sigmas=self.touch_sigmas,
         )
         if not (np.isfinite(self.moment_drift) and self.moment_drift >= 0.0):
-            raise UsageError(f"antenna moment_drift is {self.moment_drift!r}: it must be zero or more, in N m/s")
+            raise UsageError(
+                f"antenna moment_drift is {self.moment_drift!r}: it must be zero or more, in N m/s"
+            )
 
     @property
     def touch_moment(self) -> float:
@@ -161,12 +165,14 @@ class Antenna:
         if self.moment_limit > self.beam.yield_moment:
             raise UsageError(
                 f"antenna moment limit {self.moment_limit * 1e3:.3g} mN m is above the yield moment "
-                f"{self.beam.yield_moment * 1e3:.3g} mN m: lower it to about half, {self.beam.yield_moment * 500:.3g} mN m"
+                f"{self.beam.yield_moment * 1e3:.3g} mN m: lower it to about half, "
+                f"{self.beam.yield_moment * 500:.3g} mN m"
             )
         if self.sensor.touch_moment >= 0.5 * self.moment_limit:
             raise UsageError(
                 f"antenna feels touch at {self.sensor.touch_moment * 1e3:.3g} mN m but must stop at "
-                f"{self.moment_limit * 1e3:.3g} mN m: it would yield before contact is felt; use a thicker beam or a quieter sensor"
+                f"{self.moment_limit * 1e3:.3g} mN m: it would yield before contact is felt; "
+                "use a thicker beam or a quieter sensor"
             )
 
     @property
@@ -175,7 +181,7 @@ class Antenna:
         return 3.0 * self.beam.stiffness
 
     def compliance(self, distance: ArrayLike) -> FloatArray:
-        """c0 [rad/(N m)] of an edge at ``distance`` [m]: (s - a)^3 / (3 EI s^2), s / (3 EI) without adaptor."""
+        """c0 [rad/(N m)] of an edge at ``distance`` [m]: (s - a)^3 / (3 EI s^2), or s / (3 EI) if a = 0."""
         s = np.asarray(distance, dtype=np.float64)
         return (s - self.beam.adaptor) ** 3 / (self.stiffness3 * s**2)
 
@@ -194,7 +200,7 @@ class Antenna:
         return np.asarray(s)
 
     def gravity_force(self, up_sensor: FloatArray) -> FloatArray:
-        """(-m_z, m_x) of the beam's weight [N m], (..., 2), for the world's up direction in sensor coordinates.
+        """(-m_z, m_x) of the beam's weight [N m], (..., 2), for the world's up in sensor coordinates.
 
         The weight -w up per length at y gives m = y x f, so (-m_z, m_x) = integral of y (f_x, f_z).
         """

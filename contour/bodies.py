@@ -13,7 +13,9 @@ __all__ = ["build_environment"]
 
 
 def build_environment(bodies: tuple[Body, ...]) -> MeshEnvironment:
-    """All ``bodies`` in the world, each with its friction; a file with several geometries gives several bodies."""
+    """All ``bodies`` in the world, each with its friction; a file with several geometries gives several
+    bodies.
+    """
     together = trimesh.Scene()
     friction: list[float] = []
     for number, body in enumerate(bodies):
@@ -22,6 +24,8 @@ def build_environment(bodies: tuple[Body, ...]) -> MeshEnvironment:
             pose, key = part.graph[node]
             geometry = part.geometry[key]
             if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
-                together.add_geometry(geometry, node_name=f"{number}:{node}", geom_name=f"{number}:{key}", transform=pose)
+                together.add_geometry(
+                    geometry, node_name=f"{number}:{node}", geom_name=f"{number}:{key}", transform=pose
+                )
                 friction.append(float(np.tan(body.friction_angle)))
     return MeshEnvironment(together, friction=friction)

@@ -63,7 +63,7 @@ class Contacts:
     which: IntArray
     """(n,) antenna, which is also the contour that it follows."""
     touch: FloatArray
-    """(n, 2) m, the beam's axis in Pi (components along x_s and z_s of the contour's orientation) at zero force."""
+    """(n, 2) m, the beam's axis in Pi at zero force: components along x_s and z_s at touch."""
     point: FloatArray
     """(n, 3) m, surface point in the world, the beam's radius compensated."""
     normal: FloatArray
@@ -101,7 +101,7 @@ class Contacts:
     @property
     def good(self) -> NDArray[np.bool_]:
         """(n,) contacts without a flag."""
-        return self.flags == 0
+        return np.asarray(self.flags == 0)
 
     def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Self:
         """The contacts ``rows``, as indices or mask."""

@@ -1,14 +1,14 @@
 """The exceptions that contour raises on purpose.
 
-    ContourError
-    |-- UsageError (also ValueError)     bad input: what it is, and the remedy
-    |-- LimitViolation                   a pose, angle or moment outside what the machine allows
-    |-- NotConverged                     an iteration that gave up, with its residual
-    |-- InstrumentError                  a request the instrument must refuse in its present state
-    `-- LinkError                        trouble between the host and a controller
-        |-- LinkTimeout                  nothing came in time
-        |-- DeviceFault                  the controller reports an alarm
-        `-- ProtocolViolation            what came is not what the contract says
+ContourError
+|-- UsageError (also ValueError)     bad input: what it is, and the remedy
+|-- LimitViolation                   a pose, angle or moment outside what the machine allows
+|-- NotConverged                     an iteration that gave up, with its residual
+|-- InstrumentError                  a request the instrument must refuse in its present state
+`-- LinkError                        trouble between the host and a controller
+    |-- LinkTimeout                  nothing came in time
+    |-- DeviceFault                  the controller reports an alarm
+    `-- ProtocolViolation            what came is not what the contract says
 """
 
 __all__ = [

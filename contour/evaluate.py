@@ -1,6 +1,7 @@
 """How good a scan was, where the truth is known: errors, coverage, silently wrong contacts, by region.
 
-Silently wrong means unflagged with an error above max(4 sigma, 1 % of L) in s, or max(4 sigma, 5 deg) in the normal.
+Silently wrong means unflagged with an error above max(4 sigma, 1 % of L) in s, or max(4 sigma, 5 deg) in the
+normal.
 """
 
 from __future__ import annotations
@@ -26,6 +27,20 @@ WITHIN = 1.959963984540054
 WRONG_SIGMAS = 4.0
 WRONG_SHARE_OF_LENGTH = 0.01
 WRONG_NORMAL = np.deg2rad(5.0)
+
+
+ERROR_FIGURES = (
+    "s_error_rms_rel",
+    "s_error_p99_rel",
+    "point_error_rms_m",
+    "point_error_p99_m",
+    "normal_error_median_rad",
+    "normal_error_p95_rad",
+    "coverage_95",
+    "coverage_95_normal",
+    "silently_wrong",
+)
+"""Figures that need the truth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,7 +90,11 @@ def figures(contacts: Contacts, errors: Errors | None = None) -> dict[str, Any]:
     }
     known = errors is not None and bool(good.any())
     if known and errors is not None:
-        relative, normal, point = errors.distance_relative[good], np.abs(errors.normal[good]), errors.point[good]
+        relative, normal, point = (
+            errors.distance_relative[good],
+            np.abs(errors.normal[good]),
+            errors.point[good],
+        )
         result |= {
             "s_error_rms_rel": float(np.sqrt(np.mean(relative**2))),
             "s_error_p99_rel": float(np.quantile(np.abs(relative), 0.99)),
@@ -88,9 +107,7 @@ def figures(contacts: Contacts, errors: Errors | None = None) -> dict[str, Any]:
             "silently_wrong": int(errors.wrong.sum()),
         }
     else:
-        names = ("s_error_rms_rel", "s_error_p99_rel", "point_error_rms_m", "point_error_p99_m")
-        names += ("normal_error_median_rad", "normal_error_p95_rad", "coverage_95", "coverage_95_normal")
-        result |= dict.fromkeys((*names, "silently_wrong"))
+        result |= dict.fromkeys(ERROR_FIGURES)
     return result
 
 

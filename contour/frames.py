@@ -1,16 +1,16 @@
 """Poses, the two-axis gimbal, and pushes along great circles.
 
-Frames: ``world``; ``base``, the gantry's (``T_world_base`` is part of the scene); ``sensor``, at the centre of
-rotation with the undeformed beam along +y_s. A pose is (X, Y, Z, phi1, phi2) and
+Frames: ``world``; ``base``, the gantry's (``T_world_base`` is part of the scene); ``sensor``, at the centre
+of rotation with the undeformed beam along +y_s. A pose is (X, Y, Z, phi1, phi2) and
 
     T_base_sensor = Trans(X, Y, Z) Rz(phi1) Rx(phi2),
 
 phi1 the outer axis about +Z of the base, phi2 the inner one about x_s. Directions in the sensing plane
 Pi = span(x_s, z_s) are angles that run from +x_s to +z_s, which is a negative rotation about +y_s.
 
-During a push the beam's direction runs along a great circle; the nested axes then spin the sensor about the beam.
-:func:`carried_push` takes that spin out sample by sample, and its theta replaces the printed (12) of Kaneko1998,
-which holds only while both axes are perpendicular to the beam.
+During a push the beam's direction runs along a great circle; the nested axes then spin the sensor about the
+beam. :func:`carried_push` takes that spin out sample by sample, and its theta replaces the printed (12) of
+Kaneko1998, which holds only while both axes are perpendicular to the beam.
 """
 
 from __future__ import annotations
@@ -87,7 +87,8 @@ def joint_angles(direction_base: ArrayLike) -> tuple[FloatArray, FloatArray]:
     if worst > np.pi / 2 - SINGULAR_MARGIN:
         raise LimitViolation(
             f"beam direction {np.rad2deg(worst):.1f} deg off the horizontal of the base, allowed is "
-            f"{90.0 - np.rad2deg(SINGULAR_MARGIN):.1f} deg (the gimbal is singular at 90): tilt it, or mount the base another way"
+            f"{90.0 - np.rad2deg(SINGULAR_MARGIN):.1f} deg (the gimbal is singular at 90): "
+            "tilt it, or mount the base another way"
         )
     return np.arctan2(-d[..., 0], d[..., 1]), phi2
 
@@ -95,14 +96,16 @@ def joint_angles(direction_base: ArrayLike) -> tuple[FloatArray, FloatArray]:
 def plane_direction(phi: ArrayLike, rotation: FloatArray) -> FloatArray:
     """Unit 3-vector of the angle ``phi`` in Pi, in the frame that ``rotation`` (..., 3, 3) maps to."""
     phi = np.asarray(phi, dtype=np.float64)
-    return np.cos(phi)[..., None] * rotation[..., :, 0] + np.sin(phi)[..., None] * rotation[..., :, 2]
+    return np.asarray(
+        np.cos(phi)[..., None] * rotation[..., :, 0] + np.sin(phi)[..., None] * rotation[..., :, 2]
+    )
 
 
 def plane_angle(direction: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Angle in Pi, rad, of the part of ``direction`` (..., 3) that lies in Pi; inverse of :func:`plane_direction`."""
+    """Angle in Pi, rad, of the part of ``direction`` (..., 3) in Pi; inverse of :func:`plane_direction`."""
     along_x = np.sum(direction * rotation[..., :, 0], axis=-1)
     along_z = np.sum(direction * rotation[..., :, 2], axis=-1)
-    return np.arctan2(along_z, along_x)
+    return np.asarray(np.arctan2(along_z, along_x))
 
 
 def great_circle(rotation: FloatArray, phi: FloatArray, theta: FloatArray) -> FloatArray:
@@ -118,7 +121,7 @@ def great_circle(rotation: FloatArray, phi: FloatArray, theta: FloatArray) -> Fl
     """
     start = rotation[:, None, :, 1]
     towards = plane_direction(phi, rotation)[:, None, :]
-    return np.cos(theta)[..., None] * start + np.sin(theta)[..., None] * towards
+    return np.asarray(np.cos(theta)[..., None] * start + np.sin(theta)[..., None] * towards)
 
 
 def nested_theta(phi2: ArrayLike, dphi1: ArrayLike, dphi2: ArrayLike) -> FloatArray:
@@ -130,7 +133,7 @@ def nested_theta(phi2: ArrayLike, dphi1: ArrayLike, dphi2: ArrayLike) -> FloatAr
     0.01
     """
     phi2 = np.asarray(phi2, dtype=np.float64)
-    return np.hypot(np.cos(phi2) * np.asarray(dphi1), np.asarray(dphi2, dtype=np.float64))
+    return np.asarray(np.hypot(np.cos(phi2) * np.asarray(dphi1), np.asarray(dphi2, dtype=np.float64)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -173,13 +176,15 @@ def carried_push(
     force[:, 1] = sin_spin * now_x + cos_spin * now_z
     cp, sp = np.cos(phi), np.sin(phi)
     ahead, aside = d[0] * cp + d[2] * sp, d[2] * cp - d[0] * sp
-    return CarriedPush(theta=np.arctan2(ahead, d[1]), sideways=np.arcsin(np.clip(aside, -1.0, 1.0)), force=force)
+    return CarriedPush(
+        theta=np.arctan2(ahead, d[1]), sideways=np.arcsin(np.clip(aside, -1.0, 1.0)), force=force
+    )
 
 
 def spun_push(
     theta: FloatArray, force: FloatArray, *, touch: FloatArray, phi: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Joint angles and sensed moments of a push, from what holds in the carried frame; inverse of :func:`carried_push`.
+    """Joint angles and sensed moments of a push from the carried frame; inverse of :func:`carried_push`.
 
     Args:
         theta: (m,) rad, angle along the great circle.
@@ -207,8 +212,9 @@ def _direction_and_spin(
 ) -> tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray, FloatArray]:
     """Beam direction in the sensor frame at touch, cosine and sine of the spin about the beam.
 
-    The rotation from touch to now is Rx(-touch2) Rz(turn) Rx(phi2). The frame carried without spin is the smallest
-    rotation that takes y to d; its x axis is e_x - dx (y + d)/(1 + dy), its z axis e_z - dz (y + d)/(1 + dy).
+    The rotation from touch to now is Rx(-touch2) Rz(turn) Rx(phi2). The frame carried without spin is the
+    smallest rotation that takes y to d; its x axis is e_x - dx (y + d)/(1 + dy),
+    its z axis e_z - dz (y + d)/(1 + dy).
     """
     ct, st = np.cos(turn), np.sin(turn)
     ca, sa = np.cos(touch2), np.sin(touch2)
@@ -231,7 +237,9 @@ class Mount:
     def __post_init__(self) -> None:
         r = np.array(self.rotation, dtype=np.float64)
         if r.shape != (3, 3) or not np.allclose(r @ r.T, np.eye(3), atol=1e-9) or np.linalg.det(r) < 0.0:
-            raise UsageError("mount rotation must be a proper 3 x 3 rotation: give three orthonormal right-handed axes")
+            raise UsageError(
+                "mount rotation must be a proper 3 x 3 rotation: give three orthonormal right-handed axes"
+            )
         r.setflags(write=False)
         origin = np.array(self.origin, dtype=np.float64)
         origin.setflags(write=False)
@@ -244,7 +252,7 @@ class Mount:
         return cls(np.eye(3), np.zeros(3))
 
     def poses(self, position_world: FloatArray, direction_world: FloatArray) -> FloatArray:
-        """Poses (n, 5) that put the centre of rotation and the beam's direction, both in the world, where asked."""
+        """Poses (n, 5) of a centre of rotation and a direction of the beam, both in the world."""
         position = (np.atleast_2d(position_world) - self.origin) @ self.rotation
         phi1, phi2 = joint_angles(np.atleast_2d(direction_world) @ self.rotation)
         return np.column_stack((position, phi1, phi2))

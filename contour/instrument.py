@@ -1,11 +1,12 @@
 """The seam: what any antenna on any gantry offers, over n antennas at once.
 
-Above it nobody sees a mesh, a true contact, a socket or a clock; below it nobody sees a strategy. Every call names
-the antennas it means (``which``, indices) and gives one value per named antenna. Poses are (X, Y, Z, phi1, phi2) in
-the base frame, ``direction_world`` are unit 3-vectors in the world, ``phi`` are angles in the sensing plane Pi.
+Above it nobody sees a mesh, a true contact, a socket or a clock; below it nobody sees a strategy. Every call
+names the antennas it means (``which``, indices) and gives one value per named antenna. Poses are (X, Y, Z,
+phi1, phi2) in the base frame, ``direction_world`` are unit 3-vectors in the world, ``phi`` are angles in the
+sensing plane Pi.
 
-A pass over one contact is ``approach`` -> ``push`` (as often as needed) -> ``release``. Each push starts at touch and
-comes back to it.
+A pass over one contact is ``approach`` -> ``push`` (as often as needed) -> ``release``. Each push starts at
+touch and comes back to it.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class Outcome(IntEnum):
     TOUCHING = 2
     """Touching already at the start of the guarded move; the antenna went back to where it was free."""
     BLOCKED = 3
-    """Something was in the way of the move to the start; the antenna stands where it was stopped, backed off."""
+    """Something was in the way of the move to the start; the antenna stands there, backed off."""
 
 
 class Stroke(IntEnum):
@@ -144,14 +145,14 @@ class ApproachReading:
     travel: FloatArray
     """(n,) m, along that direction from the start of the motion to ``pose``."""
     samples: Samples
-    """The last samples in free air, those of the touch and of standing at its edge; none where nothing was touched."""
+    """The last samples in free air, of the touch and of standing at its edge; none where nothing was met."""
     depth_per_sample: float
     """m moved between two samples of the guarded move."""
 
     @property
     def touched(self) -> NDArray[np.bool_]:
         """(n,) whether the antenna now stands at the edge of touch."""
-        return (self.outcome == Outcome.FOUND) | (self.outcome == Outcome.BLOCKED)
+        return np.asarray((self.outcome == Outcome.FOUND) | (self.outcome == Outcome.BLOCKED))
 
     def take(self, rows: IntArray) -> Self:
         """The approaches ``rows``."""
@@ -185,8 +186,10 @@ class PushReading:
 
 
 Watch = Callable[[IntArray, Samples], FloatArray]
-"""``watch(rows, chunk)`` is shown each fixed chunk of out-stroke samples of the pushes ``rows`` (indices into the call)
-as they come, and gives for each the angle to go on to, rad; one that is already passed turns the push back at once."""
+"""``watch(rows, chunk)`` is shown each fixed chunk of out-stroke samples of the pushes ``rows`` (indices into
+the call) as they come, and gives for each the angle to go on to, rad; one that is already passed turns the
+push back at once.
+"""
 
 
 class Instrument(Protocol):
@@ -219,15 +222,25 @@ class Instrument(Protocol):
     def approach(
         self, which: IntArray, pose: FloatArray, direction_world: FloatArray, travel: FloatArray
     ) -> ApproachReading:
-        """Checked move to ``pose`` (n, 5), then a guarded straight move along ``direction_world`` (n, 3) for at most
-        ``travel`` (n,) m. Ends backed off to the edge of touch, if touch there was."""
+        """Checked move to ``pose`` (n, 5), then a guarded straight move along ``direction_world`` (n, 3).
+
+        It goes on for at most ``travel`` (n,) m, and ends backed off to the edge of touch if touch there was.
+        """
         ...
 
     def push(
-        self, which: IntArray, phi: FloatArray, angle: FloatArray, *, moment_limit: FloatArray, watch: Watch | None = None
+        self,
+        which: IntArray,
+        phi: FloatArray,
+        angle: FloatArray,
+        *,
+        moment_limit: FloatArray,
+        watch: Watch | None = None,
     ) -> PushReading:
-        """Turn the beam's direction by ``angle`` (n,) rad along the great circle towards ``phi`` (n,) in Pi, and back.
-        The out stroke ends early at ``moment_limit`` (n,) N m or when ``watch`` says so."""
+        """Turn the beam by ``angle`` (n,) rad along the great circle towards ``phi`` (n,) in Pi, and back.
+
+        The out stroke ends early at ``moment_limit`` (n,) N m or when ``watch`` says so.
+        """
         ...
 
     def release(self, which: IntArray, clearance: FloatArray) -> FloatArray:
@@ -237,7 +250,7 @@ class Instrument(Protocol):
 
 _Reading = ZeroReading | ApproachReading | PushReading | FloatArray
 _R = TypeVar("_R", bound=_Reading)
-_KINDS: dict[str, type[ZeroReading] | type[ApproachReading] | type[PushReading]] = {
+_KINDS: dict[str, type[ZeroReading | ApproachReading | PushReading]] = {
     "zero": ZeroReading,
     "approach": ApproachReading,
     "push": PushReading,
@@ -300,7 +313,13 @@ class RecordingInstrument:
         return self._keep("approach", which, self._instrument.approach(which, pose, direction_world, travel))
 
     def push(
-        self, which: IntArray, phi: FloatArray, angle: FloatArray, *, moment_limit: FloatArray, watch: Watch | None = None
+        self,
+        which: IntArray,
+        phi: FloatArray,
+        angle: FloatArray,
+        *,
+        moment_limit: FloatArray,
+        watch: Watch | None = None,
     ) -> PushReading:
         """As :meth:`Instrument.push`."""
         reading = self._instrument.push(which, phi, angle, moment_limit=moment_limit, watch=watch)
@@ -327,7 +346,10 @@ class ReplayInstrument:
     """Gives the readings of a log again, call by call, whatever machine they came from."""
 
     def __init__(self, log: dict[str, NDArray[np.generic]], *, antenna: Antenna, mount: Mount) -> None:
-        self._log = log
+        self._calls: dict[str, dict[str, NDArray[np.generic]]] = {}
+        for name, value in log.items():
+            call, _, field = name.partition("/")
+            self._calls.setdefault(call, {})[field] = value
         self._kinds = [str(kind) for kind in log["kinds"]]
         self._next = 0
         self._antennas = int(log["antennas"])
@@ -362,15 +384,16 @@ class ReplayInstrument:
 
     def _fetch(self, kind: str, which: IntArray) -> dict[str, NDArray[np.generic]]:
         if self.finished:
-            raise InstrumentError(f"the log ends before this {kind}: it was made with another strategy or another version")
-        prefix = f"{self._next}/"
-        if self._kinds[self._next] != kind or not np.array_equal(self._log[prefix + "asked"], which):
             raise InstrumentError(
-                f"call {self._next} of the log is a {self._kinds[self._next]} of other antennas than this {kind}: "
-                "replay it with the configuration it was made with"
+                f"the log ends before this {kind}: it was made with another strategy or another version"
+            )
+        found = self._calls[str(self._next)]
+        if self._kinds[self._next] != kind or not np.array_equal(found["asked"], which):
+            raise InstrumentError(
+                f"call {self._next} of the log is a {self._kinds[self._next]}, or of other antennas than "
+                f"this {kind}: replay it with the configuration it was made with"
             )
         self._next += 1
-        found = {name[len(prefix) :]: value for name, value in self._log.items() if name.startswith(prefix)}
         self._machine_time = np.asarray(found["machine_time"], dtype=np.float64)
         return found
 
@@ -400,7 +423,13 @@ class ReplayInstrument:
         return reading
 
     def push(
-        self, which: IntArray, phi: FloatArray, angle: FloatArray, *, moment_limit: FloatArray, watch: Watch | None = None
+        self,
+        which: IntArray,
+        phi: FloatArray,
+        angle: FloatArray,
+        *,
+        moment_limit: FloatArray,
+        watch: Watch | None = None,
     ) -> PushReading:
         """As :meth:`Instrument.push`; the watch was heard when the log was made."""
         reading = self._reading("push", which)

@@ -1,4 +1,4 @@
-"""The ladder of forward models for the simulator: the cheapest rung whose estimated error is under the tolerance.
+"""The simulator's ladder of forward models: the cheapest rung whose estimated error is under the tolerance.
 
     edge      the closed forms of Kaneko1998, slips mended: no memory, no curvature
     reduced   the reduced rod on the contact's two radii
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import IntEnum
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +42,8 @@ RUNGS = ("auto", *(rung.name.lower() for rung in Rung))
 """Names that a scene may ask for."""
 
 Silhouette = Callable[[IntArray, FloatArray], tuple[FloatArray, FloatArray]]
-"""``silhouette(rows, reach)``: offsets (m,) shares and heights (n, m) of the outlines of the contacts ``rows``, out to
-``reach`` (n,) m on both sides."""
+"""``silhouette(rows, reach)``: offsets (m,) shares and heights (n, m) of the outlines of the contacts
+``rows``, out to ``reach`` (n,) m on both sides."""
 
 
 def slide_estimate(contact: TrueContact, eps: FloatArray, peak: FloatArray) -> FloatArray:
@@ -51,15 +52,15 @@ def slide_estimate(contact: TrueContact, eps: FloatArray, peak: FloatArray) -> F
     depth = contact.distance * peak
     outside = np.sin(np.abs(eps)) - np.cos(eps) * np.tan(np.minimum(alpha, 1.4))
     creep = 0.12 * np.abs(eps) / np.maximum(alpha, 0.02) * peak
-    return depth * np.maximum(np.maximum(outside, 0.0), np.minimum(creep, 1.0)) + 1e-6
+    return np.asarray(depth * np.maximum(np.maximum(outside, 0.0), np.minimum(creep, 1.0)) + 1e-6)
 
 
 def choose(contact: TrueContact, eps: FloatArray, peak: FloatArray, tolerance: float) -> NDArray[np.int8]:
     """Cheapest rung of each push whose estimated relative error of the moment is under ``tolerance``.
 
-    The estimates bound what was measured against the exact rung (docs/derivations.md): the edge forms leave out
-    3/8 u, the turn of the normal by the slide and friction's memory; the reduced rod leaves out second orders of u
-    and of 1/q.
+    The estimates bound what was measured against the exact rung (docs/derivations.md): the edge forms leave
+    out 3/8 u, the turn of the normal by the slide and friction's memory; the reduced rod leaves out second
+    orders of u and of 1/q.
     """
     depth = contact.distance * peak
     slide = slide_estimate(contact, eps, peak)
@@ -67,19 +68,33 @@ def choose(contact: TrueContact, eps: FloatArray, peak: FloatArray, tolerance: f
     bend = np.abs(1.0 / np.where(contact.radius_across == 0.0, 1e-9, contact.radius_across))
     outside = np.abs(eps) > 0.9 * np.arctan(contact.friction)
     turn = slide * bend
-    edge = 0.375 * u + 0.24 * peak**2 + 0.2 * contact.friction * peak + turn + np.where(outside, 0.3 * np.abs(np.tan(eps)) * peak, 0.0)
+    edge = (
+        0.375 * u
+        + 0.24 * peak**2
+        + 0.2 * contact.friction * peak
+        + turn
+        + np.where(outside, 0.3 * np.abs(np.tan(eps)) * peak, 0.0)
+    )
     q_inverse = np.minimum(depth * bend, 4.0)
-    exact = 0.06 * u * u + 0.02 * u * contact.friction + np.where(outside, 0.012 * q_inverse**2 * np.tan(np.abs(eps)) ** 2, 0.0)
+    exact = (
+        0.06 * u * u
+        + 0.02 * u * contact.friction
+        + np.where(outside, 0.012 * q_inverse**2 * np.tan(np.abs(eps)) ** 2, 0.0)
+    )
     uneven = slide > contact.extent
     rung = np.where(edge <= tolerance, Rung.EDGE, Rung.REDUCED)
     rung = np.where((rung == Rung.REDUCED) & (exact > tolerance), Rung.ELASTICA, rung)
     return np.where(uneven, Rung.PROFILE, rung).astype(np.int8)
 
 
+PROFILE_MARGIN = 1e-3
+"""What a silhouette is sampled beyond the slide expected [m]."""
+
+
 class Ladder:
     """Answers pushes with the rung asked for, or the cheapest that holds, and remembers which it was."""
 
-    def __init__(self, rung: str, tolerance: float, silhouette: Silhouette | None = None) -> None:
+    def __init__(self, rung: str, tolerance: float, silhouette: Silhouette) -> None:
         if rung not in RUNGS:
             raise UsageError(f"rung {rung!r} is not known: use one of {', '.join(RUNGS)}")
         self._fixed = None if rung == "auto" else Rung[rung.upper()]
@@ -99,14 +114,16 @@ class Ladder:
             rung = choose(contact, eps, peak, self._tolerance)
         else:
             rung = np.full(eps.size, self._fixed, dtype=np.int8)
-        if self._silhouette is None:
-            rung = np.where(rung == Rung.PROFILE, np.int8(Rung.ELASTICA), rung)
-        rung = np.where(contact.kind == Kind.TIP, np.int8(Rung.ELASTICA), rung)
+        # A tip keeps its place on the beam: it has no silhouette to slide over, and no closed form of its own.
+        tip = contact.kind == Kind.TIP
+        rung = np.where(tip & (rung < Rung.ELASTICA), np.int8(Rung.REDUCED), rung)
         moment, delta = np.zeros_like(path), np.full_like(path, np.pi)
         for level in Rung:
             some = np.flatnonzero(rung == level)
             if some.size:
-                moment[some], delta[some] = self._answer(level, contact.take(some), eps[some], path[some], rows[some])
+                moment[some], delta[some] = self._answer(
+                    level, contact.take(some), eps[some], path[some], rows[some]
+                )
         self.used = rung
         return moment, delta
 
@@ -114,14 +131,16 @@ class Ladder:
         self, level: Rung, contact: TrueContact, eps: FloatArray, path: FloatArray, rows: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         model = elastica if level == Rung.ELASTICA else reduced
-        cycle = model.push_cycle(
-            eps,
-            path,
-            distance=contact.distance,
-            friction=contact.friction,
-            radius_along=contact.radius_along,
-            radius_across=contact.radius_across,
-        )
+        common = {"distance": contact.distance, "friction": contact.friction, "radius_along": contact.radius_along}
+        if contact.kind[0] == Kind.TIP:
+            cycle = model.push_cycle_tip(eps, path, **common, radius_across=contact.radius_across, tilt=contact.tilt)
+        elif level == Rung.EDGE:
+            return self._edge(contact, eps, path)
+        elif level == Rung.PROFILE:
+            reach = 1.2 * slide_estimate(contact, eps, path.max(axis=1)) + PROFILE_MARGIN
+            cycle = reduced.push_cycle_profile(eps, path, **common, profile=self._silhouette(rows, reach))
+        else:
+            cycle = model.push_cycle(eps, path, **common, radius_across=contact.radius_across)
         if level == Rung.ELASTICA:
             self.unconverged += int(np.count_nonzero(~cycle.converged))
         return np.where(cycle.slipped_off, 0.0, cycle.moment_angle), cycle.delta

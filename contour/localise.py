@@ -44,7 +44,6 @@ def localise(
     touch = make_touch(
         reading,
         instrument.mount,
-        instrument.antenna,
         expected=expected,
         expected_sigma=expected_sigma,
         fresh=fresh,
@@ -83,12 +82,13 @@ def _touch_again(
     if np.any(shift != 0.0):
         rotation = instrument.mount.rotation_world_sensor(start)
         start[:, :3] += shift[:, None] * (rotation[:, :, 1] @ instrument.mount.rotation)
-    renewed = instrument.approach(which, start, reading.direction_world[rows], np.full(rows.size, 2.0 * LET_GO))
+    renewed = instrument.approach(
+        which, start, reading.direction_world[rows], np.full(rows.size, 2.0 * LET_GO)
+    )
     good = np.flatnonzero(renewed.touched)
     new = make_touch(
         renewed.take(good),
         instrument.mount,
-        instrument.antenna,
         expected=touch.expected[rows[good]],
         expected_sigma=touch.expected_sigma[rows[good]],
         fresh=touch.fresh[rows[good]],

@@ -1,15 +1,16 @@
 """The machine that carries an antenna: scan ticks, ramps, speeds, time, touch threshold, quantisation, noise.
 
-One component of both the simulated instrument and the embedded controller, so that both give the same readings.
-Whatever is touched enters only as a moment per depth (approach) or as a moment along the stroke (push).
+One component of both the simulated instrument and the embedded controller, so that both give the same
+readings. Whatever is touched enters only as a moment per depth (approach) or as a moment along the stroke
+(push).
 
-Noise is keyed by antenna, approach, push and sample, never drawn from a common stream: a reading does not depend on
-which other antennas are served in the same call.
+Noise is keyed by antenna, approach, push and sample, never drawn from a common stream: a reading does not
+depend on which other antennas are served in the same call.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +19,14 @@ from contour.antenna import Sensor
 from contour.errors import UsageError
 from contour.instrument import Stroke
 
-__all__ = ["MachineModel", "NoiseKey", "Timeline", "TouchTimeline", "trapezoid_duration", "trapezoid_position"]
+__all__ = [
+    "MachineModel",
+    "NoiseKey",
+    "Timeline",
+    "TouchTimeline",
+    "trapezoid_duration",
+    "trapezoid_position",
+]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -30,7 +38,7 @@ REST_SAMPLES = 10
 PRESS_TICKS = 64
 """Scans within which a touch must be felt; at 10 mm/s and 100 Hz that is 6.4 mm of bending."""
 TOUCH_SCANS = 2
-"""Scans in a row above the threshold before touch is declared: one alone would stop one free approach in a thousand."""
+"""Scans in a row above the threshold before touch is declared: one alone would stop free approaches."""
 
 
 def trapezoid_duration(distance: ArrayLike, speed: float, acceleration: float) -> FloatArray:
@@ -49,11 +57,16 @@ def trapezoid_position(
 ) -> FloatArray:
     """Position at ``time`` of the move of :func:`trapezoid_duration`; all arguments broadcast."""
     # Speed reached: from duration T and distance d of a trapezoid, v = (T - sqrt(T^2 - 4 d/a)) a / 2.
-    speed = 0.5 * acceleration * (duration - np.sqrt(np.maximum(duration**2 - 4.0 * distance / acceleration, 0.0)))
+    lost = np.sqrt(np.maximum(duration**2 - 4.0 * distance / acceleration, 0.0))
+    speed = 0.5 * acceleration * (duration - lost)
     ramp = speed / acceleration
     begin = np.minimum(time, ramp)
     end = np.maximum(time - (duration - ramp), 0.0)
-    return begin * (0.5 * acceleration * begin) + speed * np.maximum(time - ramp, 0.0) - 0.5 * acceleration * end**2
+    return (
+        begin * (0.5 * acceleration * begin)
+        + speed * np.maximum(time - ramp, 0.0)
+        - 0.5 * acceleration * end**2
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,7 +133,7 @@ def _ragged(counts: IntArray) -> tuple[IntArray, IntArray, IntArray]:
 class MachineModel:
     """Speeds, ramps, thresholds and noise of one machine."""
 
-    sensor: Sensor = Sensor()
+    sensor: Sensor = field(default_factory=Sensor)
     """Moment sensor, encoders and sample rate."""
     seed: int = 0
     """Key of all noise."""
@@ -144,10 +157,15 @@ class MachineModel:
     """Standard deviation of the moment sensor's offset when switched on, each axis [N m]."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name not in ("sensor", "seed", "initial_offset") and not (np.isfinite(value) and value > 0.0):
-                raise UsageError(f"gantry {field.name} is {value!r}: it must be a finite number above zero")
+        for number in fields(self):
+            value = getattr(self, number.name)
+            free = number.name in {"sensor", "seed", "initial_offset"}
+            if not (free or (np.isfinite(value) and value > 0.0)):
+                raise UsageError(f"gantry {number.name} is {value!r}: it must be a finite number above zero")
+        if not (np.isfinite(self.initial_offset) and self.initial_offset >= 0.0):
+            raise UsageError(
+                f"gantry initial_offset is {self.initial_offset!r}: it must be zero or more, in N m"
+            )
         if self.seed < 0:
             raise UsageError(f"seed is {self.seed}: it must be zero or more")
 
@@ -187,7 +205,7 @@ class MachineModel:
         return self.sensor.moment_noise * np.concatenate(parts)
 
     def offset(self, antenna: IntArray, time: FloatArray) -> FloatArray:
-        """(m, 2) N m, the moment sensor's offset at machine time ``time`` (m,): a start value and a ramp per axis."""
+        """(m, 2) N m, the sensor's offset at machine time ``time`` (m,): a start value and a ramp each."""
         unique, inverse = np.unique(antenna, return_inverse=True)
         start, slope = np.zeros((unique.size, 2)), np.zeros((unique.size, 2))
         for i, a in enumerate(unique.tolist()):
@@ -216,16 +234,16 @@ class MachineModel:
             start=start,
             run=run,
             theta=np.where(returning, angle[run] - position, position),
-            time=(tick + 1.0) / rate,
+            time=np.asarray((tick + 1.0) / rate, dtype=np.float64),
             stroke=np.where(returning, np.int8(Stroke.BACK), np.int8(Stroke.OUT)),
             duration=(n_out + n_back) / rate,
         )
 
     def touch_timeline(self, key: NoiseKey, distance: FloatArray, slope: FloatArray) -> TouchTimeline:
-        """The end of guarded moves that touch after ``distance`` (n,) m, moment rising by ``slope`` (n,) N m per m.
+        """The end of guarded moves that touch after ``distance`` (n,) m; ``slope`` (n,) N m per m of depth.
 
-        Touch is declared after :data:`TOUCH_SCANS` scans above the threshold, relative to the mean in free air; the
-        machine brakes, then backs off until the moment is under half the threshold, and stands.
+        Touch is declared after :data:`TOUCH_SCANS` scans above the threshold, relative to the mean in free
+        air; the machine brakes, then backs off until the moment is under half the threshold, and stands.
         """
         tick = self.approach_speed / self.sensor.sample_rate
         threshold = self.sensor.touch_moment
@@ -254,7 +272,10 @@ class MachineModel:
         depth_out = np.maximum(bottom[:, None] - creep * (column + 1.0), -creep)
         index = np.minimum(head + fixed + column, raw.shape[0] - 1)
         away = raw[index] - tare[:, None, :]
-        clear = np.hypot(slope[:, None] * np.maximum(depth_out, 0.0) + away[..., 0], away[..., 1]) < 0.5 * threshold
+        clear = (
+            np.hypot(slope[:, None] * np.maximum(depth_out, 0.0) + away[..., 0], away[..., 1])
+            < 0.5 * threshold
+        )
         clear |= column >= (n_retreat - 1)[:, None]
         i_stop = np.argmax(clear, axis=1)
         rest = depth_out[np.arange(n), i_stop]

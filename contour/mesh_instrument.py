@@ -1,8 +1,8 @@
 """The simulated instrument: n antennas on n gantries over one mesh scene.
 
 What a beam meets comes from :class:`contour.mesh_env.MeshEnvironment`; what the machine makes of it from
-:class:`contour.machine.MachineModel`; how the push is answered from the ladder of forward models. Strategy and tracing
-see none of them.
+:class:`contour.machine.MachineModel`; how the push is answered from the ladder of forward models. Strategy
+and tracing see none of them.
 """
 
 from __future__ import annotations
@@ -37,11 +37,13 @@ ZERO_TIME = 0.5
 SMOOTH_RISE = 0.5e-3
 """How far the smooth surface may stand above the mesh along a motion [m]."""
 SHORTEST = 4e-3
-"""Contacts nearer to the centre of rotation than this are taken to be here: the adaptor's, not the beam's [m]."""
+"""Contacts nearer to the centre of rotation are taken to be here: the adaptor's, not the beam's [m]."""
 ROUND_SHARE = 0.35
 """Part of the profile's radius within which it counts as a circle."""
 CREASE_PITCH = 1e-3
 """Distance of the points that creases are sampled at to find the nearest [m]."""
+PROFILE_SAMPLES = 41
+"""Points that a silhouette is sampled at; odd, so that one is the touch."""
 SMALLEST_RADIUS = 1e-6
 """Radii of curvature below this are edges [m]."""
 
@@ -50,7 +52,10 @@ def _blank(n: int) -> TrueContact:
     kinds = {"kind": np.int8, "region": np.int8, "body": np.int64}
     shapes = {"point": (n, 3), "normal": (n, 3)}
     return TrueContact(
-        **{f.name: np.zeros(shapes.get(f.name, (n,)), dtype=kinds.get(f.name, np.float64)) for f in fields(TrueContact)}
+        **{
+            f.name: np.zeros(shapes.get(f.name, (n,)), dtype=kinds.get(f.name, np.float64))
+            for f in fields(TrueContact)
+        }
     )
 
 
@@ -100,7 +105,8 @@ class MeshInstrument:
         self._mount = mount
         self._n = antennas
         self._creases = _crease_tree(environment)
-        self._ladder = Ladder(rung, tolerance)
+        self._ladder = Ladder(rung, tolerance, self._silhouette)
+        self._pushing = np.zeros(0, dtype=np.int64)
         self._virtual = VirtualAntenna(antenna, machine, mount, self._ladder)
         self._pose = np.full((antennas, 5), np.nan)
         self._clock = np.zeros(antennas)
@@ -140,7 +146,7 @@ class MeshInstrument:
         """For :mod:`contour.truth` alone."""
         return self._contact.take(which), self._rung[which]
 
-    # -- moves ------------------------------------------------------------------------------------------------------
+    # -- moves -----------------------------------------------------------------------------------------
 
     def zero(self, which: IntArray) -> ZeroReading:
         """Average the moments in free air."""
@@ -164,7 +170,9 @@ class MeshInstrument:
 
     def _key(self, which: IntArray, push: int | IntArray) -> NoiseKey:
         return NoiseKey(
-            antenna=which, approach=self._approaches[which], push=np.broadcast_to(np.asarray(push, np.int64), which.shape)
+            antenna=which,
+            approach=self._approaches[which],
+            push=np.broadcast_to(np.asarray(push, np.int64), which.shape),
         )
 
     def approach(
@@ -203,7 +211,7 @@ class MeshInstrument:
         return self._arrive(which, begin, pose, way, moved, outcome, lead, found)
 
     def _begin(self, which: IntArray, pose: FloatArray) -> FloatArray:
-        """Where the move to the start begins. An antenna that is new to the scene, or turns, comes from outside it."""
+        """Where the move to the start begins; an antenna that is new here, or turns, comes from outside."""
         begin = self._pose[which]
         elsewhere = np.isnan(begin[:, 0]) | (np.abs(begin[:, 3:] - pose[:, 3:]).max(axis=1) > 1e-9)
         return np.where(elsewhere[:, None], pose, begin)
@@ -222,7 +230,8 @@ class MeshInstrument:
             translation=direction * (travel + SMOOTH_RISE)[:, None],
             radius=beam.radius,
         )
-        # Between creases the mesh stands for the smooth surface that it samples, which is met a little sooner.
+        # Between creases the mesh stands for the smooth surface that it samples, which is met
+        # a little sooner.
         facing = np.maximum(-np.sum(direction * first.normal, axis=1), 0.05)
         reached = np.where(first.touching, 0.0, first.travel - first.lift / facing)
         hit = (first.hit | first.touching) & (reached <= travel)
@@ -243,12 +252,18 @@ class MeshInstrument:
         tip = first.kind[index] == TouchKind.TIP
         found.distance[rows] = np.where(tip, beam.length, np.maximum(first.distance[index], SHORTEST))
         found.outward[rows] = plane_angle(normal_here, frame)
-        found.tilt[rows] = np.where(tip, np.arcsin(np.clip(-np.sum(normal_here * frame[:, :, 1], axis=1), -1, 1)), 0.0)
-        kinds = np.where(tip, np.int8(Kind.TIP), np.where(first.kind[index] == TouchKind.EDGE, np.int8(Kind.EDGE), np.int8(Kind.SIDE)))
+        found.tilt[rows] = np.where(
+            tip, np.arcsin(np.clip(-np.sum(normal_here * frame[:, :, 1], axis=1), -1, 1)), 0.0
+        )
+        kinds = np.where(
+            tip,
+            np.int8(Kind.TIP),
+            np.where(first.kind[index] == TouchKind.EDGE, np.int8(Kind.EDGE), np.int8(Kind.SIDE)),
+        )
         found.kind[rows] = np.where(first.line[index], np.int8(Kind.LINE), kinds)
         # The beam's axis moves on the body's surface offset by the beam's radius.
         radius_along = np.where(along > 1.0 / SMALLEST_RADIUS, 0.0, 1.0 / np.maximum(along, 1.0))
-        radius_along = np.where(first.line[index] | tip, 0.0, radius_along)
+        radius_along = np.where(first.line[index], 0.0, radius_along)
         found.radius_along[rows] = np.minimum(radius_along, 1.0) + beam.radius
         flat = np.abs(across) < 1e-3
         radius_across = np.where(np.isinf(across), 0.0, 1.0 / np.where(flat | np.isinf(across), 1.0, across))
@@ -260,7 +275,7 @@ class MeshInstrument:
         found.extent[rows] = self._extent(first, index)
 
     def _extent(self, first: FirstContact, index: IntArray) -> FloatArray:
-        """How far to the sides the contact's own radii hold: to the crease's end, the next crease, a part of R_l."""
+        """How far to the sides the contact's radii hold: to the crease's end, the next one, a part of R_l."""
         across = np.abs(first.curvature_across[index])
         extent = np.where(np.isfinite(across), ROUND_SHARE / np.maximum(across, 1e-3), 0.0)
         edge = first.kind[index] == TouchKind.EDGE
@@ -292,7 +307,8 @@ class MeshInstrument:
         rows = np.flatnonzero(touched)
         normal_share = np.maximum(-np.sum(way * found.normal, axis=1), 0.05)
         stiffness = self._antenna.stiffness3 / np.maximum(found.distance, 1e-3) ** 2
-        # A tilted (tipped) surface gives way along its normal: the beam bends by the depth over the cosine of the tilt.
+        # A tilted (tipped) surface gives way along its normal: the beam bends by the depth over the cosine
+        # of the tilt.
         slope = stiffness * normal_share / np.cos(found.tilt)
         speed = self._machine.approach_speed
         guarded = moved / speed
@@ -304,7 +320,9 @@ class MeshInstrument:
             found.depth[rows] = timeline.rest_depth * normal_share[rows] / np.cos(found.tilt[rows])
             before = self._clock[which[rows]] + np.where(outcome[rows] == Outcome.BLOCKED, 0.0, lead[rows])
             time[rows] = np.where(outcome[rows] == Outcome.BLOCKED, 0.0, lead[rows]) + timeline.duration
-            samples = self._touch_samples(which[rows], end[rows], way[rows], found.take(rows), timeline, before)
+            samples = self._touch_samples(
+                which[rows], end[rows], way[rows], found.take(rows), timeline, before
+            )
             start = np.zeros(which.size + 1, dtype=np.int64)
             start[rows + 1] = np.diff(samples.start)
             samples = Samples(
@@ -364,15 +382,22 @@ class MeshInstrument:
         force = self._antenna.gravity_force(rotation[:, 2, :])
         return np.stack((force[:, 1], -force[:, 0]), axis=1)
 
-    # -- pushes -----------------------------------------------------------------------------------------------------
+    # -- pushes ----------------------------------------------------------------------------------------
 
     def push(
-        self, which: IntArray, phi: FloatArray, angle: FloatArray, *, moment_limit: FloatArray, watch: Watch | None = None
+        self,
+        which: IntArray,
+        phi: FloatArray,
+        angle: FloatArray,
+        *,
+        moment_limit: FloatArray,
+        watch: Watch | None = None,
     ) -> PushReading:
         """Turn towards ``phi`` by ``angle`` and back."""
         if not self._touching[which].all():
             raise InstrumentError("push asked for in free air: approach first")
         self._pushes[which] += 1
+        self._pushing = which
         reading, duration = self._virtual.push(
             self._contact.take(which),
             which=which,
@@ -389,10 +414,27 @@ class MeshInstrument:
             self._rung[which] = self._ladder.used
         return reading
 
+    def _silhouette(self, rows: IntArray, reach: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Offsets and heights (n, m) of the silhouettes that the pushes ``rows`` of the present call slide on."""
+        which = self._pushing[rows]
+        contact = self._contact.take(which)
+        pose = self._pose[which]
+        direction = self._mount.rotation_world_sensor(pose)[:, :, 1]
+        axis = self._mount.position_world(pose) + contact.distance[:, None] * direction
+        # Sampled along direction x normal; the mechanics counts the other way round.
+        offsets = reach[:, None] * np.linspace(-1.0, 1.0, PROFILE_SAMPLES)
+        heights = self._env.profile(
+            axis, direction, contact.distance, contact.normal, self._antenna.beam.length, offsets
+        )[:, ::-1]
+        heights = heights - heights[:, PROFILE_SAMPLES // 2, None]
+        return offsets, np.where(np.isfinite(heights), heights, np.nan)
+
     def release(self, which: IntArray, clearance: FloatArray) -> FloatArray:
         """Back along the last approach."""
         end = self._pose[which].copy()
         end[:, :3] -= (self._way[which] @ self._mount.rotation) * clearance[:, None]
-        self._clock[which] += trapezoid_duration(clearance, self._machine.travel_speed, self._machine.acceleration)
+        self._clock[which] += trapezoid_duration(
+            clearance, self._machine.travel_speed, self._machine.acceleration
+        )
         self._pose[which], self._touching[which] = end, False
         return end

@@ -58,7 +58,9 @@ class Observed:
 
     def truth(self) -> tuple[TrueContact, NDArray[np.int8]]:
         """All of it, in the order of the contacts."""
-        merged = {f.name: np.concatenate([getattr(p, f.name) for p in self.parts]) for f in fields(TrueContact)}
+        merged = {
+            f.name: np.concatenate([getattr(p, f.name) for p in self.parts]) for f in fields(TrueContact)
+        }
         return TrueContact(**merged), np.concatenate(self.rungs)
 
 

@@ -1,7 +1,8 @@
 """What a strategy is asked and told: the touch, the next action, and binned readings.
 
-A strategy localises n contacts at once. :func:`binned` turns the samples of a push into bins of both strokes: the
-zero of free air and the weight of the beam taken out, the sensor's spin taken out sample by sample.
+A strategy localises n contacts at once. :func:`binned` turns the samples of a push into bins of both
+strokes: the zero of free air and the weight of the beam taken out, the sensor's spin taken out sample by
+sample.
 """
 
 from __future__ import annotations
@@ -40,8 +41,9 @@ BINS = 8
 
 OUT_RANGE = (0.0, 1.001)
 BACK_RANGE = (0.05, 0.95)
-"""Shares of the peak angle that the bins of each stroke span. After the turning point friction along the beam turns
-round, and at the end of the way back the slide that is left turns the force faster than a bin can follow."""
+"""Shares of the peak angle that the bins of each stroke span. After the turning point friction along the beam
+turns round, and at the end of the way back the slide that is left turns the force faster than a bin can
+follow."""
 
 
 class Action(IntEnum):
@@ -118,7 +120,7 @@ class Touch:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bins:
-    """Bins of P pushes, out stroke first, then back; K = 2 BINS, in the frame at touch carried without spin."""
+    """Bins of P pushes, K = 2 BINS of them: out, then back; in the frame at touch carried without spin."""
 
     theta: FloatArray
     """(P, K) rad"""
@@ -196,14 +198,15 @@ def _rise(samples: Samples, tare: FloatArray, runs: int, speed_per_sample: float
     mean_size = np.bincount(run, weights=size, minlength=runs) / count
     away = depth - mean_depth[run]
     spread = np.bincount(run, weights=away * away, minlength=runs)
-    slope = np.bincount(run, weights=away * (size - mean_size[run]), minlength=runs) / np.maximum(spread, 1e-18)
+    slope = np.bincount(run, weights=away * (size - mean_size[run]), minlength=runs) / np.maximum(
+        spread, 1e-18
+    )
     return np.asarray(np.maximum(slope, 1.0e-3))
 
 
 def make_touch(
     reading: ApproachReading,
     mount: Mount,
-    antenna: Antenna,
     *,
     expected: FloatArray,
     expected_sigma: FloatArray,
@@ -211,8 +214,8 @@ def make_touch(
 ) -> Touch:
     """The touch that an approach ended with; every row of ``reading`` must be touched.
 
-    Where the approach had no free air (it touched within its first scan), the tare has no samples and the strategy
-    must zero first.
+    Where the approach had no free air (it touched within its first scan), the tare has no samples and the
+    strategy must zero first.
     """
     runs = reading.which.size
     tare, tare_time, tare_samples = _means(reading.samples, Stroke.FREE, runs)
@@ -220,9 +223,12 @@ def make_touch(
     over = rest - tare
     rotation = mount.rotation_world_sensor(reading.pose)
     position = mount.position_world(reading.pose)
-    in_plane = np.stack((np.sum(position * rotation[:, :, 0], 1), np.sum(position * rotation[:, :, 2], 1)), axis=1)
+    in_plane = np.stack(
+        (np.sum(position * rotation[:, :, 0], 1), np.sum(position * rotation[:, :, 2], 1)), axis=1
+    )
     share = np.hypot(
-        np.sum(reading.direction_world * rotation[:, :, 0], 1), np.sum(reading.direction_world * rotation[:, :, 2], 1)
+        np.sum(reading.direction_world * rotation[:, :, 0], 1),
+        np.sum(reading.direction_world * rotation[:, :, 2], 1),
     )
     return Touch(
         which=reading.which,
@@ -244,13 +250,14 @@ def make_touch(
 
 
 def binned(reading: PushReading, touch: Touch, antenna: Antenna, mount: Mount) -> Bins:
-    """Bins of both strokes of each push of ``reading``, pushed from ``touch`` (row by row the same pushes)."""
+    """Bins of both strokes of each push of ``reading``; row i was pushed from row i of ``touch``."""
     pushes = reading.which.size
     samples = reading.samples
     run = samples.run
     up = rotation_base_sensor(reading.touch[:, 0], reading.touch[:, 1]).transpose(0, 2, 1) @ mount.rotation[2]
     up_plane, up_along = up[:, [0, 2]], up[:, 1]
-    # The offset stays with the sensor, the weight with the world: only the offset may be subtracted before the spin.
+    # The offset stays with the sensor, the weight with the world: only the offset may be subtracted before
+    # the spin.
     weight = antenna.gravity_force(up)
     offset = touch.tare - np.stack((weight[:, 1], -weight[:, 0]), axis=1)
     carried = carried_push(
@@ -270,13 +277,15 @@ def binned(reading: PushReading, touch: Touch, antenna: Antenna, mount: Mount) -
     index = np.where(inside, run * (2 * BINS) + np.where(back, 2 * BINS - 1 - slot, slot), size)
 
     def total(values: FloatArray) -> FloatArray:
-        return np.bincount(index, weights=values, minlength=size)[:size].reshape(pushes, 2 * BINS)
+        sums = np.bincount(index, weights=values, minlength=size)[:size]
+        return np.asarray(sums.reshape(pushes, 2 * BINS), dtype=np.float64)
 
     count = np.bincount(index, minlength=size)[:size].reshape(pushes, 2 * BINS).astype(np.float64)
     safe = np.maximum(count, 1.0)
     theta = total(carried.theta) / safe
     force = np.stack((total(carried.force[:, 0]), total(carried.force[:, 1])), axis=2) / safe[..., None]
-    # The carried axis e along the push turns with the beam: up . e changes by -up_along sin - (up . e)(1 - cos).
+    # The carried axis e along the push turns with the beam: up . e changes by
+    # -up_along sin - (up . e)(1 - cos).
     push = np.stack((np.cos(reading.phi), np.sin(reading.phi)), axis=1)
     along = np.sum(up_plane * push, axis=1)
     change = -up_along[:, None] * np.sin(theta) - along[:, None] * (1.0 - np.cos(theta))
@@ -296,7 +305,7 @@ def binned(reading: PushReading, touch: Touch, antenna: Antenna, mount: Mount) -
 def locate(
     touch: Touch, axis: FloatArray, distance: FloatArray, outward: FloatArray, antenna: Antenna, mount: Mount
 ) -> tuple[FloatArray, FloatArray]:
-    """Surface points and outward normals in the world, (n, 3) each, of contacts at ``distance`` along the beam.
+    """Surface points and outward normals in the world, (n, 3) each, of contacts ``distance`` (n,) m along.
 
     ``axis`` (n, 2) m is the beam's axis in Pi; the surface lies one beam radius from it, against the normal.
     """
@@ -314,7 +323,7 @@ FALL = 0.35
 
 
 class RunawayWatch:
-    """Ends pushes whose force runs round the body, or falls away, while they are made (physics: q below 1)."""
+    """Ends pushes whose force runs round the body or falls away (q = R_l/(s theta) is too small)."""
 
     def __init__(self, touch: Touch, phi: FloatArray, angle: FloatArray, antenna: Antenna) -> None:
         self._touch = touch
@@ -328,7 +337,9 @@ class RunawayWatch:
         count = np.diff(chunk.start)
         over = chunk.moment - self._touch.tare[rows][chunk.run]
         late = np.maximum(chunk.start[1:] - 5, chunk.start[:-1])  # the newest five samples
-        total = np.add.reduceat(np.vstack((over, np.zeros((1, 2)))), np.stack((late, chunk.start[1:]), 1).ravel())[::2]
+        total = np.add.reduceat(
+            np.vstack((over, np.zeros((1, 2)))), np.stack((late, chunk.start[1:]), 1).ravel()
+        )[::2]
         mean = total / np.minimum(count, 5)[:, None]
         size = np.hypot(mean[:, 0], mean[:, 1])
         psi = np.arctan2(mean[:, 0], -mean[:, 1])

@@ -1,10 +1,10 @@
 """Strategies by name: from pushes to contacts, n at once, all of the same shape (ask and tell).
 
-    model              ours: both strokes, a joint estimate, as few pushes as the tolerance allows
-    model-out          the same without the return stroke, to show what it buys
-    bisection          Kaneko1998, (15)-(19), as printed
-    bisection-limited  the same with limited steps
-    one-push           Solomon2008, with an assumed friction angle
+model              ours: both strokes, a joint estimate, as few pushes as the tolerance allows
+model-out          the same without the return stroke, to show what it buys
+bisection          Kaneko1998, (15)-(19), as printed
+bisection-limited  the same with limited steps
+one-push           Solomon2008, with an assumed friction angle
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ __all__ = [
 
 _MAKERS: dict[str, Callable[[int, Antenna, Mount], Strategy]] = {
     "model": ModelStrategy,
-    "model-out": lambda n, antenna, mount: ModelStrategy(n, antenna, mount, ModelSettings(both_strokes=False)),
+    "model-out": lambda n, antenna, mount: ModelStrategy(
+        n, antenna, mount, ModelSettings(both_strokes=False)
+    ),
 }
 
 STRATEGIES = tuple(_MAKERS)

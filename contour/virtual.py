@@ -1,7 +1,7 @@
 """The virtual antenna: what the sensor of a machine reads when its beam presses against a known contact.
 
-Mechanics come from the ladder of forward models (edge, reduced, profile, elastica), one rung per push; ticks, noise
-and quantisation from the machine. No strategy and no estimator is known here.
+Mechanics come from the ladder of forward models (edge, reduced, profile, elastica), one rung per push;
+ticks, noise and quantisation from the machine. No strategy and no estimator is known here.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contour.antenna import Antenna
-from contour.contacts import Kind
 from contour.frames import Mount, rotation_base_sensor, spun_push
 from contour.instrument import PushReading, Samples, Stop, Stroke, Watch
 from contour.machine import MachineModel, NoiseKey, Timeline
@@ -28,9 +27,9 @@ CHUNK = 20
 """Samples that a watch is shown at once."""
 NODES_OUT = np.array([0.0, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 NODES_BACK = np.array([1.0, 0.98, 0.92, 0.84, 0.76, 0.68, 0.6, 0.5, 0.4, 0.3, 0.2, 0.12, 0.06, 0.025, 0.0])
-"""Shares of the peak angle at which the mechanics is evaluated on each stroke. The force between them is linear in the
-angle, as a sticking contact's is; after the turning point friction along the beam changes sign at once, and near the
-end of the way back the slide that is left turns the force."""
+"""Shares of the peak angle at which the mechanics is evaluated on each stroke. The force between them is
+linear in the angle, as a sticking contact's is; after the turning point friction along the beam changes sign
+at once, and near the end of the way back the slide that is left turns the force."""
 GRAZING = 0.05
 """Pushes with a smaller cosine to the inner normal leave the body instead of pressing it."""
 
@@ -72,8 +71,9 @@ class TrueContact:
 
 
 Response = Callable[[TrueContact, FloatArray, FloatArray, IntArray], tuple[FloatArray, FloatArray]]
-"""``response(contact, eps, path, rows)``: moment angle |M| s/(3 EI) and delta, (n, k), along ``path`` (n, k) rad of pushes
-at ``eps`` (n,) off the inner normal. ``rows`` are indices of the contacts for whoever keeps more about them."""
+"""``response(contact, eps, path, rows)``: moment angle |M| s/(3 EI) and delta, (n, k), along ``path`` (n, k)
+rad of pushes at ``eps`` (n,) off the inner normal. ``rows`` are indices of the contacts for whoever keeps
+more about them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +95,7 @@ class _Course:
         flat = self.force.reshape(-1, 2)
         index = timeline.run * _FRACTION.size + left
         before = flat[index]
-        return before + weight * (flat[index + 1] - before)
+        return np.asarray(before + weight * (flat[index + 1] - before))
 
 
 _FRACTION = np.concatenate((NODES_OUT, NODES_BACK[1:]))
@@ -155,7 +155,7 @@ class VirtualAntenna:
         moment_limit: FloatArray,
         watch: Watch | None = None,
     ) -> tuple[PushReading, FloatArray]:
-        """Samples of both strokes of n pushes that begin at machine time ``clock``, and how long each took [s].
+        """Samples of both strokes of n pushes begun at machine time ``clock``, and how long each took [s].
 
         ``joints`` (n, 2) rad are the true joint angles at touch; the rest as for ``Instrument.push``.
         """
@@ -216,9 +216,15 @@ class VirtualAntenna:
         )
 
     def _weight(
-        self, force: FloatArray, up: FloatArray, phi: FloatArray, run: IntArray, theta: FloatArray, lever: FloatArray
+        self,
+        force: FloatArray,
+        up: FloatArray,
+        phi: FloatArray,
+        run: IntArray,
+        theta: FloatArray,
+        lever: FloatArray,
     ) -> FloatArray:
-        """(m, 2) N m in the carried frame: the beam's weight, and what the support's reaction takes of its change.
+        """(m, 2) N m in the carried frame: the beam's weight, and how the support answers its change.
 
         A beam clamped at the base, with a load q per length in Pi and a support at s, is held there by
         q (6 L^2 - 4 L s + s^2)/(8 s) = q lever/s.
@@ -231,7 +237,7 @@ class VirtualAntenna:
         size = np.linalg.norm(force, axis=1, keepdims=True)
         unit = force / np.maximum(size, 1e-12)
         held = lever[run] * self.antenna.beam.line_weight * change * np.sum(push[run] * unit, axis=1)
-        return -self.antenna.beam.gravity_moment * now + held[:, None] * unit
+        return np.asarray(-self.antenna.beam.gravity_moment * now + held[:, None] * unit)
 
     def _watched(
         self, samples: Samples, timeline: Timeline, watch: Watch, peak: FloatArray
