@@ -318,6 +318,23 @@ def test_motion_along_the_beam_touches_with_the_tip():
     assert touches.where[0] == Where.BASE
 
 
+@pytest.mark.parametrize("turning", [False, True])
+def test_root_inside_its_radius_touches_at_the_start(turning):
+    """A beam whose root stands nearer to a face than its radius, and leads away from it, touches at once."""
+    solver = FirstContactSolver(trimesh.creation.box(extents=(0.1, 0.1, 0.1)).triangles)
+    base, up, side = np.array([[0.01, 0.02, 0.051]]), np.array([[0.0, 0, 1.0]]), np.array([[1.0, 0, 0]])
+    length = np.array([LENGTH])
+    motions = (
+        turns(base, up, length, np.array([[0.0, 1.0, 0]]), np.array([0.5]))
+        if turning
+        else slides(base, up, length, 0.1 * side)
+    )
+    assert not np.isfinite(solver.solve(motions, 0.9e-3).travel[0])
+    touches = solver.solve(motions, 1.1e-3)
+    assert touches.travel[0] == 0.0
+    assert touches.where[0] == Where.BASE
+
+
 def test_answers_do_not_depend_on_the_batch(rng):
     """Beams asked one by one get, bit for bit, what they get among others."""
     triangles = needles(rng, 60)
