@@ -19,7 +19,7 @@ from contour.errors import ContourError, LinkError, UsageError
 if TYPE_CHECKING:
     from contour.scene import Scene
 
-__all__ = ["app", "main"]
+__all__ = ["app", "demo", "doctor", "main", "scan"]
 
 DEMO = "mug"
 """Shape that the demo maps."""

@@ -33,18 +33,16 @@ from scipy.spatial.transform import Rotation
 from contour.antenna import Antenna, Beam, Sensor
 from contour.errors import UsageError
 from contour.frames import Mount
+from contour.ladder import RUNGS
 from contour.machine import MachineModel
 from contour.plan import Plan, Reach, default_plan, levels_plan, orientation_plan
 from contour.quantities import ANY_LENGTH, METRES_PER, Key, closest, read_section
+from contour.strategy import STRATEGIES
 
-__all__ = ["RUNGS", "STRATEGIES", "Body", "PlanSettings", "ScanSettings", "Scene", "load_scene"]
+__all__ = ["Body", "PlanSettings", "ScanSettings", "Scene", "load_scene"]
 
 FloatArray = NDArray[np.float64]
 
-STRATEGIES = ("model", "model-out", "bisection", "bisection-limited", "one-push")
-"""Names of the strategies."""
-RUNGS = ("auto", "edge", "reduced", "profile", "elastica")
-"""Forward models of the simulator, cheapest first, and the choice between them."""
 FAMILIES = ("default", "levels", "silhouettes")
 """Kinds of plan."""
 STEEPEST_FRICTION = float(np.deg2rad(80.0))
@@ -70,9 +68,9 @@ class ScanSettings:
     """How to sense."""
 
     strategy: str = "model"
-    """One of :data:`STRATEGIES`."""
+    """One of contour.strategy.STRATEGIES."""
     rung: str = "auto"
-    """One of :data:`RUNGS`, for the simulator."""
+    """One of contour.ladder.RUNGS, for the simulator."""
     tolerance: float = 1e-3
     """Error of the simulator's forward model that ``auto`` allows, as a share of the moment."""
     seed: int = 0

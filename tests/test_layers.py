@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -86,3 +87,28 @@ def test_core_needs_numpy_and_scipy_alone():
     ]
     statement = "\n".join(f"import contour.{module}" for module in core)
     assert not _loaded_by(statement) & {"trimesh", "embreex", "pymodbus", "rich", "cyclopts", "matplotlib"}
+
+
+def test_every_source_is_listed():
+    """Keys such as Kaneko1998 in code and documents resolve in docs/references.md."""
+    root = ROOT.parent
+    listed = set(
+        re.findall(
+            r"^\| (\w+) \|", (root / "docs" / "references.md").read_text(encoding="utf-8"), re.MULTILINE
+        )
+    )
+    texts = [*FILES, *(root / "docs").rglob("*.md"), root / "README.md"]
+    cited = {
+        key
+        for text in texts
+        for key in re.findall(r"\b[A-Z][a-z]+(?:19|20)\d\d\b", text.read_text(encoding="utf-8"))
+    }
+    assert cited <= listed
+
+
+def test_every_document_link_leads_somewhere():
+    """Relative links of README and docs point at files that are there."""
+    root = ROOT.parent
+    for page in (root / "README.md", root / "CHANGELOG.md", *(root / "docs").rglob("*.md")):
+        for link in re.findall(r"\]\((?!https?:)([^)#\s]+)", page.read_text(encoding="utf-8")):
+            assert (page.parent / link).exists(), f"{page.name}: {link}"

@@ -113,9 +113,9 @@ def test_plans_are_built_from_their_settings(scene_file):
 
 def test_overrides_beat_the_file(scene_file):
     """Strategy and seed of the command line win; the unit only fills a gap."""
-    path = scene_file('unit = "cm"\n[scan]\nstrategy = "one-push"\nseed = 1\n')
-    scene = load_scene(path, unit="mm", strategy="bisection", seed=5)
-    assert (scene.scan.strategy, scene.scan.seed, scene.machine.seed) == ("bisection", 5, 5)
+    path = scene_file('unit = "cm"\n[scan]\nstrategy = "model-out"\nseed = 1\n')
+    scene = load_scene(path, unit="mm", strategy="model", seed=5)
+    assert (scene.scan.strategy, scene.scan.seed, scene.machine.seed) == ("model", 5, 5)
     assert scene.bodies[0].unit == "cm"
 
 
