@@ -16,7 +16,7 @@ $(STAMP): pyproject.toml scripts/make_venv.py
 	$(PYTHON) scripts/make_venv.py $(VENV)
 	@touch $@
 
-demo: $(STAMP) meshes ## map an object in simulation and print what came of it
+demo: $(STAMP) ## map an object in simulation and print what came of it
 	$(BIN)/contour demo
 
 test: check meshes ## style, types, layers and the quick tests

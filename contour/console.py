@@ -70,10 +70,8 @@ class Reporter:
             self._bar.update(self._task, completed=share, description=text)
         elif now - self._said >= _INTERVAL:
             self._said = now
-            left = elapsed * (1.0 - share) / share if share > 0.0 else float("inf")
-            self._console.print(
-                f"{contacts} contacts, {100.0 * share:.0f} %, {rate:.0f} contacts/s, {left:.0f} s left"
-            )
+            left = f", {elapsed * (1.0 - share) / share:.0f} s left" if share > 0.0 else ""
+            self._console.print(f"{contacts} contacts, {100.0 * share:.0f} %, {rate:.0f} contacts/s{left}")
 
 
 def metrics_table(title: str, metrics: Mapping[str, Any]) -> Table:

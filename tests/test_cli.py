@@ -188,13 +188,14 @@ def test_doctor_fails_when_something_is_missing(monkeypatch, capsys):
 
 def test_progress_is_plain_lines_off_a_terminal():
     """No more than one line each five seconds, with rate and time left."""
-    text, times = io.StringIO(), iter([0.0, 0.0, 1.0, 6.0, 8.0, 12.0])
+    text, times = io.StringIO(), iter([0.0, 0.0, 1.0, 6.0, 8.0, 12.0, 20.0])
     with Reporter(Console(file=text), clock=lambda: next(times)) as report:
-        for contacts, share in ((10, 0.1), (60, 0.5), (80, 0.7), (120, 1.0)):
+        for contacts, share in ((10, 0.0), (60, 0.0), (80, 0.1), (120, 0.5), (200, 1.0)):
             report(contacts, share)
     assert text.getvalue().splitlines() == [
-        "60 contacts, 50 %, 10 contacts/s, 6 s left",
-        "120 contacts, 100 %, 10 contacts/s, 0 s left",
+        "60 contacts, 0 %, 10 contacts/s",
+        "120 contacts, 50 %, 10 contacts/s, 12 s left",
+        "200 contacts, 100 %, 10 contacts/s, 0 s left",
     ]
 
 
