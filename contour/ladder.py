@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import IntEnum
 from itertools import product
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from contour import contact as reduced
 from contour import elastica
 from contour.contacts import Kind
 from contour.errors import UsageError
+from contour.laws import finite_angle, slip_law
 from contour.virtual import TrueContact
 
 __all__ = ["RUNGS", "Ladder", "Rung", "choose"]
@@ -56,35 +58,25 @@ def slide_estimate(contact: TrueContact, eps: FloatArray, peak: FloatArray) -> F
 
 
 def choose(contact: TrueContact, eps: FloatArray, peak: FloatArray, tolerance: float) -> NDArray[np.int8]:
-    """Cheapest rung of each push whose estimated relative error of the moment is under ``tolerance``.
+    """Cheapest rung of each push whose estimated error, of the moment or of the direction [rad], is under ``tolerance``.
 
-    The estimates bound what was measured against the exact rung (docs/derivations.md): the edge forms leave
-    out 3/8 u, the turn of the normal by the slide and friction's memory; the reduced rod leaves out second
-    orders of u and of 1/q.
+    The estimates bound what was measured against the exact rung (tests/test_ladder.py): the edge forms leave out 3/8 u,
+    the turn of the normal by the slide and friction's memory; the reduced rod leaves out second orders of u and of 1/q.
     """
     depth = contact.distance * peak
     slide = slide_estimate(contact, eps, peak)
     u = contact.radius_along * peak / contact.distance
     bend = np.abs(1.0 / np.where(contact.radius_across == 0.0, 1e-9, contact.radius_across))
-    outside = np.abs(eps) > 0.9 * np.arctan(contact.friction)
-    turn = slide * bend
-    edge = (
-        0.375 * u
-        + 0.24 * peak**2
-        + 0.2 * contact.friction * peak
-        + turn
-        + np.where(outside, 0.3 * np.abs(np.tan(eps)) * peak, 0.0)
-    )
+    alpha = np.arctan(contact.friction)
+    outside = np.abs(eps) > 0.9 * alpha
+    creep = 0.1 * np.abs(eps) * peak / np.maximum(contact.friction, 0.02)
+    edge = 0.375 * u + slide * bend + np.where(outside, 1.0, creep)
     q_inverse = np.minimum(depth * bend, 4.0)
-    exact = (
-        0.06 * u * u
-        + 0.02 * u * contact.friction
-        + np.where(outside, 0.012 * q_inverse**2 * np.tan(np.abs(eps)) ** 2, 0.0)
-    )
-    uneven = slide > contact.extent
+    reach = np.tan(np.minimum(np.abs(eps), 1.4)) ** 2
+    exact = 0.06 * u * u + 0.02 * u * contact.friction + np.where(outside, 0.012 * q_inverse**2 * reach, 0.0)
     rung = np.where(edge <= tolerance, Rung.EDGE, Rung.REDUCED)
     rung = np.where((rung == Rung.REDUCED) & (exact > tolerance), Rung.ELASTICA, rung)
-    return np.where(uneven, Rung.PROFILE, rung).astype(np.int8)
+    return np.where(slide > contact.extent, Rung.PROFILE, rung).astype(np.int8)
 
 
 PROFILE_MARGIN = 1e-3
@@ -101,7 +93,7 @@ class Ladder:
         self._tolerance = tolerance
         self._silhouette = silhouette
         self.used = np.zeros(0, dtype=np.int8)
-        """(n,) :class:`Rung` of each row of the last call."""
+        """(n,) :class:`Rung` that answered row i last, -1 for none; whoever counts sets it back before a push."""
         self.unconverged = 0
         """Pushes of the exact rung that did not converge so far."""
 
@@ -118,13 +110,17 @@ class Ladder:
         tip = contact.kind == Kind.TIP
         rung = np.where(tip & (rung < Rung.ELASTICA), np.int8(Rung.REDUCED), rung)
         moment, delta = np.zeros_like(path), np.full_like(path, np.pi)
-        for level in Rung:
-            some = np.flatnonzero(rung == level)
+        # Tips have mechanics of their own: no call mixes them with contacts of the side.
+        for level, end in product(Rung, (False, True)):
+            some = np.flatnonzero((rung == level) & (tip == end))
             if some.size:
                 moment[some], delta[some] = self._answer(
                     level, contact.take(some), eps[some], path[some], rows[some]
                 )
-        self.used = rung
+        missing = int(rows.max(initial=-1)) + 1 - self.used.size
+        if missing > 0:
+            self.used = np.concatenate((self.used, np.full(missing, -1, dtype=np.int8)))
+        self.used[rows] = rung
         return moment, delta
 
     def _answer(
@@ -144,3 +140,13 @@ class Ladder:
         if level == Rung.ELASTICA:
             self.unconverged += int(np.count_nonzero(~cycle.converged))
         return np.where(cycle.slipped_off, 0.0, cycle.moment_angle), cycle.delta
+
+    @staticmethod
+    def _edge(contact: TrueContact, eps: FloatArray, path: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The paper's closed forms: slip law and finite angle of a flat edge, the same on both strokes but for the sign
+        of the friction along the beam."""
+        theta = np.maximum(path, 1e-6)
+        slip = slip_law(eps[:, None], theta, contact.friction[:, None])
+        back = np.arange(path.shape[1]) > np.argmax(path, axis=1)[:, None]
+        along = np.where(back, -1.0, 1.0) * contact.friction[:, None]
+        return theta / (slip.compliance_ratio * finite_angle(theta, along)), slip.delta

@@ -397,6 +397,7 @@ class MeshInstrument:
         if not self._touching[which].all():
             raise InstrumentError("push asked for in free air: approach first")
         self._pushes[which] += 1
+        self._ladder.used = np.full(which.size, -1, dtype=np.int8)
         self._pushing = which
         reading, duration = self._virtual.push(
             self._contact.take(which),
@@ -410,8 +411,8 @@ class MeshInstrument:
             watch=watch,
         )
         self._clock[which] += duration
-        if self._ladder.used.size == which.size:
-            self._rung[which] = self._ladder.used
+        answered = np.flatnonzero(self._ladder.used >= 0)
+        self._rung[which[answered]] = self._ladder.used[answered]
         return reading
 
     def _silhouette(self, rows: IntArray, reach: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -424,7 +425,13 @@ class MeshInstrument:
         # Sampled along direction x normal; the mechanics counts the other way round.
         offsets = reach[:, None] * np.linspace(-1.0, 1.0, PROFILE_SAMPLES)
         heights = self._env.profile(
-            axis, direction, contact.distance, contact.normal, self._antenna.beam.length, offsets
+            axis,
+            direction,
+            contact.distance,
+            contact.normal,
+            self._antenna.beam.length,
+            offsets,
+            radius=self._antenna.beam.radius,
         )[:, ::-1]
         heights = heights - heights[:, PROFILE_SAMPLES // 2, None]
         return offsets, np.where(np.isfinite(heights), heights, np.nan)
