@@ -84,34 +84,40 @@ class _Found:
 def slide_features(
     local: FloatArray, length: FloatArray, radius: float, along: FloatArray, ahead: FloatArray
 ) -> Features:
-    """Features of triangles (k, 3, 3) for beams that move by (along, ahead) (k,) in X and Y per metre of
-    travel.
+    """Features of triangles for beams that translate.
+
+    Args:
+        local: coordinates of the corners (3 coordinates, 3 corners, k).
+        length: of the beams (k,).
+        radius: of the beams.
+        along: way of the beams in X per metre of travel (k,).
+        ahead: in Y (k,).
     """
-    found = _Found(len(local))
-    X, Y, Z = local[..., 0], local[..., 1], local[..., 2]
+    found = _Found(local.shape[2])
+    X, Y, Z = local
     moving = ahead > 0.0
     speed = np.where(moving, ahead, 1.0)
     for i in range(3):
         _slide_edge(found, _EDGE_CODES[i], local[:, i], local[:, (i + 1) % 3], length, radius, along, ahead)
-        over = radius * radius - Z[:, i] ** 2
-        inside = Y[:, i] ** 2 <= over
-        travel = np.where(inside, 0.0, (Y[:, i] - np.sqrt(np.maximum(over, 0.0))) / speed)
-        place = X[:, i] - travel * along
+        over = radius * radius - Z[i] ** 2
+        inside = Y[i] ** 2 <= over
+        travel = np.where(inside, 0.0, (Y[i] - np.sqrt(np.maximum(over, 0.0))) / speed)
+        place = X[i] - travel * along
         met = (over >= 0.0) & (inside | (moving & (travel >= 0.0))) & _between(place, length)
         found.add(_EDGE_CODES[i], travel, place, met)
-    way = np.stack([along, ahead, np.zeros(len(along))], axis=1)
     # Only triangles that the ends can reach while the beam passes them are held against the ends.
-    early = np.clip((Y.min(axis=1) - radius) / speed, 0.0, None)
-    late = np.maximum((Y.max(axis=1) + radius) / speed, early)
-    shift = np.stack([early * along, late * along], axis=1)
-    low, high = X.min(axis=1) - shift.max(axis=1), X.max(axis=1) - shift.min(axis=1)
+    early = np.maximum((_least(Y) - radius) / speed, 0.0)
+    late = np.maximum((_most(Y) + radius) / speed, early)
+    low = _least(X) - np.maximum(early * along, late * along)
+    high = _most(X) - np.minimum(early * along, late * along)
     tip = np.nonzero(~moving | (high >= length - radius))[0]
     base = np.nonzero(~moving | (low <= radius))[0]
     for rows, where, place in ((tip, Where.TIP, length), (base, Where.BASE, np.zeros(len(length)))):
         if len(rows):
             centre = np.zeros((len(rows), 3))
             centre[:, 0] = place[rows]
-            _slide_end(found, where, local[rows], centre, way[rows], radius, place[rows], rows)
+            way = np.stack([along[rows], ahead[rows], np.zeros(len(rows))], axis=1)
+            _slide_end(found, where, _rows_first(local, rows), centre, way, radius, place[rows], rows)
     _pierced(found, local, length)
     return found.gathered()
 
@@ -126,18 +132,17 @@ def _slide_edge(
     along: FloatArray,
     ahead: FloatArray,
 ) -> None:
-    """Axis and edge: seen along the beam, a point that moves towards a straight line."""
-    side = stop - start
-    square = side[:, 1] ** 2 + side[:, 2] ** 2
+    """Axis and edge, ends (3, k): seen along the beam, a point that moves towards a straight line."""
+    ux, uy, uz = stop - start
+    square = uy * uy + uz * uz
     flat = np.sqrt(np.where(square > 0.0, square, 1.0))
-    gap = (start[:, 1] * side[:, 2] - start[:, 2] * side[:, 1]) / flat
-    rate = -ahead * side[:, 2] / flat
+    gap = (start[1] * uz - start[2] * uy) / flat
+    rate = -ahead * uz / flat
     inside = np.abs(gap) <= radius
     closing = gap * rate < 0.0
     travel = np.where(inside, 0.0, (np.abs(gap) - radius) / np.where(closing, np.abs(rate), 1.0))
-    reach = travel * ahead
-    share = ((reach - start[:, 1]) * side[:, 1] - start[:, 2] * side[:, 2]) / (flat * flat)
-    place = start[:, 0] + share * side[:, 0] - travel * along
+    share = ((travel * ahead - start[1]) * uy - start[2] * uz) / (flat * flat)
+    place = start[0] + share * ux - travel * along
     met = (inside | closing) & (square > 0.0) & _between(place, length) & _between(share, 1.0)
     found.add(where, travel, place, met)
 
@@ -185,30 +190,29 @@ def _ball_root(start: FloatArray, way: FloatArray, radius: float) -> tuple[Float
 
 
 def turn_features(local: FloatArray, length: FloatArray, radius: float) -> Features:
-    """Features of triangles (k, 3, 3) for beams that turn about their bases, from X towards Y."""
-    found = _Found(len(local))
-    X, Y, Z = local[..., 0], local[..., 1], local[..., 2]
+    """Features of triangles (3 coordinates, 3 corners, k) for beams that turn from X towards Y."""
+    found = _Found(local.shape[2])
+    X, Y, Z = local
     square = X * X + Y * Y
     for i in range(3):
         _turn_edge(found, _EDGE_CODES[i], local[:, i], local[:, (i + 1) % 3], length, radius)
-        inside = (Y[:, i] ** 2 + Z[:, i] ** 2 <= radius * radius) & _between(X[:, i], length)
+        inside = (Y[i] ** 2 + Z[i] ** 2 <= radius * radius) & _between(X[i], length)
         # The foot of the vertex on the axis: x^2 = X^2 + Y^2 + Z^2 - r^2.
-        foot = square[:, i] + Z[:, i] ** 2 - radius * radius
+        foot = square[i] + Z[i] ** 2 - radius * radius
         place = np.sqrt(np.maximum(foot, 0.0))
-        across = np.sqrt(np.maximum(radius * radius - Z[:, i] ** 2, 0.0))
-        travel = np.mod(np.arctan2(Y[:, i], X[:, i]) - np.arctan2(across, place), 2.0 * np.pi)
-        met = (foot >= 0.0) & (np.abs(Z[:, i]) <= radius) & (place <= length)
-        found.add(
-            _EDGE_CODES[i], np.where(inside, 0.0, travel), np.where(inside, X[:, i], place), met | inside
-        )
-    far = np.nonzero(np.sqrt(square.max(axis=1)) >= length - radius)[0]
+        across = np.sqrt(np.maximum(radius * radius - Z[i] ** 2, 0.0))
+        travel = np.mod(np.arctan2(Y[i], X[i]) - np.arctan2(across, place), 2.0 * np.pi)
+        met = (foot >= 0.0) & (np.abs(Z[i]) <= radius) & (place <= length)
+        found.add(_EDGE_CODES[i], np.where(inside, 0.0, travel), np.where(inside, X[i], place), met | inside)
+    far = np.nonzero(np.sqrt(_most(square)) >= length - radius)[0]
     if len(far):
-        _turn_tip(found, local[far], length[far], radius, far)
+        _turn_tip(found, _rows_first(local, far), length[far], radius, far)
     about_base = (local.min(axis=1) <= radius) & (local.max(axis=1) >= -radius)
-    near = np.nonzero(about_base.all(axis=1))[0]
-    origin = np.zeros((len(near), 3))
-    still = np.zeros((len(near), 3))
-    _slide_end(found, Where.BASE, local[near], origin, still, radius, np.zeros(len(near)), near)
+    near = np.nonzero(about_base.all(axis=0))[0]
+    if len(near):
+        still = np.zeros((len(near), 3))
+        corners = _rows_first(local, near)
+        _slide_end(found, Where.BASE, corners, still, still, radius, np.zeros(len(near)), near)
     _pierced(found, local, length)
     return found.gathered()
 
@@ -216,29 +220,32 @@ def turn_features(local: FloatArray, length: FloatArray, radius: float) -> Featu
 def _turn_edge(
     found: _Found, where: Where, start: FloatArray, stop: FloatArray, length: FloatArray, radius: float
 ) -> None:
-    """Axis and edge: (P . (d x U))^2 = r^2 |d x U|^2, a sinusoid of twice the angle with one entry each half
-    turn.
+    """Axis and edge, ends (3, k): (P . (d x U))^2 = r^2 |d x U|^2.
+
+    That is a sinusoid of twice the angle, with one entry in each half turn.
     """
-    side = stop - start
-    sine = start[:, 0] * side[:, 2] - start[:, 2] * side[:, 0]
-    cosine = start[:, 2] * side[:, 1] - start[:, 1] * side[:, 2]
-    total = np.einsum("kj,kj->k", side, side)
+    ux, uy, uz = stop - start
+    px, py, pz = start
+    sine, cosine = px * uz - pz * ux, pz * uy - py * uz
+    total = ux * ux + uy * uy + uz * uz
     r2 = radius * radius
-    a = cosine**2 + r2 * side[:, 0] ** 2
-    b = sine**2 + r2 * side[:, 1] ** 2
-    c = sine * cosine + r2 * side[:, 0] * side[:, 1]
+    a = cosine**2 + r2 * ux**2
+    b = sine**2 + r2 * uy**2
+    c = sine * cosine + r2 * ux * uy
     size = np.hypot(0.5 * (a - b), c)
     level = r2 * total - 0.5 * (a + b)
-    crosses = np.abs(level) < size
     half = np.arccos(np.clip(level / np.where(size > 0.0, size, 1.0), -1.0, 1.0))
     entry = np.mod(0.5 * (np.arctan2(c, 0.5 * (a - b)) + half), np.pi)
-    for travel, met in ((np.zeros(len(a)), a - r2 * total <= 0.0), (entry, crosses)):
+    inside, crosses = a - r2 * total <= 0.0, np.abs(level) < size
+    dot = px * ux + py * uy + pz * uz
+    for travel, met in ((np.zeros(len(a)), inside), (entry, crosses)):
+        if not met.any():
+            continue
         co, si = np.cos(travel), np.sin(travel)
-        on_beam = co * start[:, 0] + si * start[:, 1]
-        lean = co * side[:, 0] + si * side[:, 1]
+        on_beam, lean = co * px + si * py, co * ux + si * uy
         square = total - lean * lean
         skew = square > 1e-18 * total
-        share = (on_beam * lean - np.einsum("kj,kj->k", start, side)) / np.where(skew, square, 1.0)
+        share = (on_beam * lean - dot) / np.where(skew, square, 1.0)
         place = on_beam + share * lean
         found.add(where, travel, place, met & skew & _between(place, length) & _between(share, 1.0))
 
@@ -311,15 +318,29 @@ def _tip(angle: FloatArray, length: FloatArray) -> FloatArray:
 
 def _pierced(found: _Found, local: FloatArray, length: FloatArray) -> None:
     """Axes that pass through a triangle where they stand, far from its edges."""
-    low, high = np.minimum.reduce(local, axis=1), np.maximum.reduce(local, axis=1)
-    rows = np.nonzero((low[:, 1:] <= 0.0).all(axis=1) & (high[:, 1] >= 0.0) & (high[:, 2] > 0.0))[0]
-    above = local[rows, :, 2] >= 0.0
-    rows = rows[~above.all(axis=1)]
-    xa, ya, xb, yb, _, _ = plane_segments(local[rows])
+    _, Y, Z = local
+    crosses = (_least(Z) < 0.0) & (_most(Z) >= 0.0) & (_least(Y) <= 0.0) & (_most(Y) >= 0.0)
+    rows = np.nonzero(crosses)[0]
+    if not len(rows):
+        return
+    xa, ya, xb, yb, _, _ = plane_segments(_rows_first(local, rows))
     drop = ya - yb
     place = xa + ya / np.where(drop != 0.0, drop, 1.0) * (xb - xa)
     met = (np.minimum(ya, yb) <= 0.0) & (np.maximum(ya, yb) >= 0.0) & (place >= 0.0) & (place <= length[rows])
     found.add(Where.THROUGH, np.zeros(len(rows)), place, met, rows)
+
+
+def _rows_first(local: FloatArray, rows: IntArray) -> FloatArray:
+    """Some of the triangles (3 coordinates, 3 corners, k) as corners (r, 3, 3)."""
+    return np.ascontiguousarray(local.take(rows, axis=2).transpose(2, 1, 0))
+
+
+def _least(corners: FloatArray) -> FloatArray:
+    return np.asarray(np.minimum(np.minimum(corners[0], corners[1]), corners[2]))
+
+
+def _most(corners: FloatArray) -> FloatArray:
+    return np.asarray(np.maximum(np.maximum(corners[0], corners[1]), corners[2]))
 
 
 def _between(values: FloatArray, top: FloatArray | float) -> BoolArray:

@@ -111,12 +111,12 @@ class FirstContactSolver:
         row = np.nonzero(face >= 0)[0]
         bound = motions.limit.copy()
         # A capsule about an axis that meets a face meets it no later than the axis does.
-        first = _features(motions.rows(row), self._square(motions, row, face[row]), radius).travel.min(axis=0)
+        first = _features(motions, row, self._square(motions, row, face[row]), radius).travel.min(axis=0)
         bound[row] = np.minimum(bound[row], first)
         regions = _swept(motions, bound, radius)
         owner, leaf = self.bvh.leaves_in(regions)
         owner, face = self._candidates(regions, owner, leaf)
-        features = _features(motions.rows(owner), self._square(motions, owner, face), radius)
+        features = _features(motions, owner, self._square(motions, owner, face), radius)
         return _reduce_features(motions, owner, face, features, n)
 
     def _candidates(self, regions: Regions, owner: IntArray, leaf: IntArray) -> tuple[IntArray, IntArray]:
@@ -134,14 +134,12 @@ class FirstContactSolver:
         return owner.take(row), self.bvh.leaf_faces.take(leaf.take(row), axis=0)[np.arange(len(row)), slot]
 
     def _square(self, motions: Motions, owner: IntArray, face: IntArray) -> FloatArray:
-        """Corners (k, 3, 3) along the beam, ahead of it in the swept plane, and normal to that, from the
-        base.
-        """
+        """Coordinates along the beam, ahead of it and normal to the sweep of the three corners (3, 3, k)."""
         axes = np.stack(
             [motions.direction, np.cross(motions.frame[:, 2], motions.direction), motions.frame[:, 2]], axis=1
         )
         corners = self.triangles.take(face, axis=0) - motions.base.take(owner, axis=0)[:, None]
-        return np.asarray(np.einsum("kvj,ksj->kvs", corners, axes.take(owner, axis=0)))
+        return np.asarray(np.einsum("kvj,ksj->svk", corners, axes.take(owner, axis=0)))
 
     def _narrow(self, motions: Motions, pieces: Callable[[FloatArray, FloatArray], Pieces]) -> Touches:
         proposed = self._bound(motions, pieces)
@@ -290,13 +288,15 @@ def _swept(motions: Motions, bound: FloatArray, radius: float = 0.0) -> Regions:
     return Regions(slabs=slabs, low=low + shift - pad, high=high + shift + pad, centre=centre, reach=reach)
 
 
-def _features(motions: Motions, local: FloatArray, radius: float) -> Features:
-    """Travel to the features of one triangle (k, 3, 3) for each of k motions."""
+def _features(motions: Motions, owner: IntArray, local: FloatArray, radius: float) -> Features:
+    """Travel of the motions owner (k,) to the features of one triangle each (3, 3, k)."""
+    length = motions.length.take(owner)
     if motions.turning:
-        return turn_features(local, motions.length, radius)
-    along = np.einsum("kj,kj->k", motions.advance, motions.direction)
-    ahead = np.where(_axial(motions), 0.0, np.sqrt(np.maximum(1.0 - along * along, 0.0)))
-    return slide_features(local, motions.length, radius, along, ahead)
+        return turn_features(local, length, radius)
+    along = np.einsum("nj,nj->n", motions.advance, motions.direction)
+    sine = np.linalg.norm(np.cross(motions.direction, motions.advance), axis=1)
+    ahead = np.where(sine < AXIAL, 0.0, sine)
+    return slide_features(local, length, radius, along.take(owner), ahead.take(owner))
 
 
 def _reduce_features(
