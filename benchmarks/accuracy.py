@@ -1,7 +1,8 @@
 """How right contacts are, by shape, strategy and region, on shapes known in closed form.
 
-Every shape stands four times in one scene, with friction angles of 3, 10, 17 and 25 deg; the default plan follows
-each, all contours in lockstep, with the default antenna and noise. The truth is that of contour.shapes.
+Every shape stands four times in one scene, with friction angles of 3, 10, 17 and 25 deg; the default plan
+follows each, all contours in lockstep, with the default antenna and noise. The truth is that of
+contour.shapes.
 
     python benchmarks/accuracy.py --shapes sphere box --strategies model bisection --out results
 """
@@ -74,6 +75,8 @@ class Outcome:
 
     contacts: Contacts
     truth: TrueContact
+    facets: FloatArray
+    """(n,) rad, normal of the mesh off that of the shape: an error of the simulation."""
     errors: Errors
     first: NDArray[np.bool_]
     """(n,) the first contact of its contour."""
@@ -98,6 +101,7 @@ class Outcome:
         return Outcome(
             contacts=self.contacts.take(rows),
             truth=self.truth.take(np.flatnonzero(rows)),
+            facets=self.facets[rows],
             errors=errors,
             first=self.first[rows],
             phi=self.phi[rows],
@@ -163,7 +167,7 @@ def measure(
     seed: int = 0,
     step: float | None = None,
 ) -> Outcome:
-    """Scan the shape ``name`` with ``strategy`` along ``contours`` contours, a quarter on each copy."""
+    """Scan the shape ``name`` along ``contours`` contours, a quarter of them on each copy."""
     environment, places = scene_of(name)
     antenna, mount = Antenna(), Mount.identity()
     own = shapes.load(name).mesh().vertices
@@ -197,10 +201,12 @@ def measure(
     mesh_truth, rungs = observed.truth()
     rotation = mount.rotation_world_sensor(mount.poses(np.zeros((plan.contours, 3)), plan.direction))
     # Bodies of the scene are numbered in the order in which they were added.
-    truth = analytic_truth(mesh_truth, rotation[contacts.which], shapes.load(name), places[mesh_truth.body])
+    frames = rotation[contacts.which]
+    truth = analytic_truth(mesh_truth, frames, shapes.load(name), places[mesh_truth.body])
     return Outcome(
         contacts=contacts,
         truth=truth,
+        facets=wrap_angle(mesh_truth.outward - truth.outward),
         errors=errors_of(contacts, truth, antenna.beam.length),
         first=np.concatenate(first),
         phi=np.concatenate(last)[:, 0],
@@ -212,7 +218,7 @@ def measure(
     )
 
 
-# -------------------------------------------------------------------------------------------------------- tables
+# ------------------------------------------------------------------------------------------------- tables
 
 COLUMNS = {
     "contacts": "d",
@@ -307,9 +313,10 @@ def details(outcome: Outcome) -> dict[str, FloatArray]:
         "theta_deg": degrees * outcome.angle,
         "q": 1.0 / np.maximum(np.abs(bend) * truth.distance * outcome.angle, 1e-9),
         "s_error_%": 100.0 * errors.distance_relative,
-        "s_sigmas": errors.distance / contacts.sigma_distance,
+        "s_sigmas": errors.distance / np.maximum(contacts.sigma_distance, 1e-12),
         "n_error_deg": degrees * errors.normal,
-        "n_sigmas": errors.normal / contacts.sigma_normal,
+        "n_sigmas": errors.normal / np.maximum(contacts.sigma_normal, 1e-12),
+        "n_facets_deg": degrees * outcome.facets,
         "n_sigma_deg": degrees * contacts.sigma_normal,
         "wrong": errors.wrong,
     }
@@ -332,7 +339,7 @@ def worst(outcome: Outcome, most: int = 12) -> str:
             f"eps {columns['eps_deg'][i]:+5.1f}  q {min(columns['q'][i], 999.0):5.1f}  "
             f"ds {columns['s_error_%'][i]:+6.2f} % = {columns['s_sigmas'][i]:+5.1f} sigma  "
             f"dn {columns['n_error_deg'][i]:+6.2f} deg = {columns['n_sigmas'][i]:+5.1f} sigma  "
-            f"pushes {outcome.contacts.pushes[i]}"
+            f"mesh {columns['n_facets_deg'][i]:+5.2f}  pushes {outcome.contacts.pushes[i]}"
         )
     return "\n".join(lines)
 
@@ -373,9 +380,7 @@ def main() -> None:
             ends = {reason: outcome.reasons.count(reason) for reason in sorted(set(outcome.reasons))}
             used = {r.name.lower(): int(np.count_nonzero(outcome.rung == r)) for r in Rung}
             print(markdown(new), worst(outcome), sep="")
-            print(
-                f"{len(outcome.contacts)} contacts in {outcome.seconds:.1f} s; rungs {used}; contours {ends}\n"
-            )
+            print(f"{len(outcome.contacts)} contacts in {outcome.seconds:.1f} s; rungs {used}; ends {ends}\n")
             sys.stdout.flush()
             if args.out is not None:
                 args.out.mkdir(parents=True, exist_ok=True)

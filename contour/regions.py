@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from contour.contacts import Kind
 from contour.frames import plane_angle
-from contour.shapes import Region, Truth
+from contour.shapes import Region, Surface, Truth
 from contour.virtual import TrueContact
 
 __all__ = ["REGIONS", "TIP", "analytic_truth"]
@@ -25,10 +25,29 @@ TIP = len(Region)
 """Region of contacts with the beam's end, wherever on the shape they are."""
 REGIONS = (*(region.name.lower() for region in Region), "tip")
 """Names of the regions, by their codes."""
+STRAIGHT = 0.1
+"""Curvature along the beam below which a surface counts as straight [1/m]: it leans too little to matter."""
 INTO_LINE = 1e-3
 """How far from its end a line contact is looked up: the end itself lies on an edge [m]."""
 NEAR = 0.2e-3
 """Contacts nearer to a sharp edge count as on it: the mesh's facets stand off the shape by this much [m]."""
+
+
+def _square_to_beam(surface: Surface, beam: FloatArray) -> FloatArray:
+    """Normals (n, 3) where the smooth surface, not its facets, is touched by the side of ``beam`` (n, 3).
+
+    The side touches where the normal n is square to the beam b; on facets it touches a little farther along.
+    From b . n = delta a shift tau b with tau b . S b = -delta leads there, S the shape operator: n + tau S b.
+    """
+    along = np.einsum("nij,nj->ni", surface.axes, beam)
+    turned = np.einsum("ni,nij->nj", surface.curvatures * along, surface.axes)  # S b
+    bend = np.sum(along**2 * surface.curvatures, axis=1)
+    lean = np.sum(beam * surface.normal, axis=1)
+    curved = bend > STRAIGHT
+    shift = np.where(curved, -lean / np.where(curved, bend, 1.0), 0.0)
+    normal = surface.normal + shift[:, None] * turned
+    normal -= np.sum(normal * beam, axis=1, keepdims=True) * beam
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
 def analytic_truth(
@@ -45,9 +64,11 @@ def analytic_truth(
     line = truth.kind == Kind.LINE
     looked_up = truth.point - placement + np.where(line, INTO_LINE, 0.0)[:, None] * rotation[:, :, 1]
     surface = shape.surface(looked_up)
+    sideways = np.isin(truth.kind, (Kind.TIP, Kind.LINE), invert=True)
+    smooth = np.where(sideways[:, None], _square_to_beam(surface, rotation[:, :, 1]), surface.normal)
     region = shape.region(looked_up, within=NEAR)
     known = region != Region.EDGE
-    normal = np.where(known[:, None], surface.normal, truth.normal)
+    normal = np.where(known[:, None], smooth, truth.normal)
     point = np.where((known & ~line)[:, None], surface.point + placement, truth.point)
     return replace(
         truth,
