@@ -36,8 +36,10 @@ LARGEST_PHI2 = float(np.deg2rad(50.0))
 """Default plans keep the inner joint within this, well off its singularity at 90 deg [rad]."""
 NEAREST = 0.1
 """The base keeps this share of L off the object's box: contacts nearer than 0.1 L overload the wire."""
-STEPS_PER_SIZE = 20.0
+STEPS_PER_SIZE = 16.0
 """Longest edge of the box over the default step."""
+LAST_SECTION = 0.2
+"""Sections end this share of the depth before the middle: there side and tip touch too near to each other."""
 CONTOURS = 60
 """Contours of a default plan: 12 directions with 5 levels."""
 HEADINGS = 8
@@ -258,7 +260,7 @@ def orientation_plan(
         antenna: its beam's length decides how deep the contours reach.
         mount: of the gantry's base.
         reach: where the base may go; anywhere if not given.
-        step: distance between contacts [m]; a twentieth of the longest edge if not given.
+        step: distance between contacts [m]; a sixteenth of the longest edge if not given.
         starts: lines of first contact for each outline, from different sides: more find further bodies.
     """
     box, d = _checked_bounds(bounds), _unit(directions, "directions")
@@ -331,29 +333,37 @@ def levels_plan(
 
 
 def _spread(count: int, mount: Mount) -> FloatArray:
-    """(count, 3) beam directions, world, even over the band of the sphere that the gimbal serves well."""
-    k = np.arange(count)
-    z = np.sin(LARGEST_PHI2) * (2.0 * k + 1.0 - count) / count
-    azimuth = np.pi * (3.0 - np.sqrt(5.0)) * k
-    flat = np.sqrt(1.0 - z**2)
-    return np.column_stack((flat * np.cos(azimuth), flat * np.sin(azimuth), z)) @ mount.rotation.T
+    """At least ``count`` beam directions (m, 3), world, even over what gimbal and tips are good at."""
+    # Faces mostly lie square to the axes of their box: a direction nearer to one would tip them too steeply.
+    steepest = np.sin(LARGEST_TILT) + 1e-9
+    drawn = count
+    while True:
+        k = np.arange(drawn)
+        z = np.sin(LARGEST_PHI2) * (2.0 * k + 1.0 - drawn) / drawn
+        azimuth = np.pi * (3.0 - np.sqrt(5.0)) * k
+        flat = np.sqrt(1.0 - z**2)
+        direction = np.column_stack((flat * np.cos(azimuth), flat * np.sin(azimuth), z)) @ mount.rotation.T
+        kept = np.asarray(direction[np.max(np.abs(direction), axis=1) <= steepest])
+        if kept.shape[0] >= count:
+            return kept
+        drawn += 1
 
 
 def _tip_levels(direction: FloatArray, count: int, box: FloatArray, length: float) -> FloatArray:
-    """(n, count) m, depths of the tip's plane: through the half that faces the base, the last as deep as it
-    goes.
-    """
+    """(n, count) m, depths of the tip's plane: through the half facing the base, the last as deep as it goes."""
     half, centre = 0.5 * (box[1] - box[0]), 0.5 * (box[0] + box[1])
     middle, inner = direction @ centre, _inner_support(half, direction)
     deepest = middle - _support(half, direction) + (1.0 - NEAREST) * length
     # On the inscribed ellipsoid the tilt of the normal out of Pi is at most LARGEST_TILT from here on.
     first = middle - np.sin(LARGEST_TILT) * inner
-    last = np.minimum(middle + 0.15 * inner, deepest)
     if count == 1:
         return np.asarray(deepest[:, None])
-    shares = np.arange(count - 1) / max(count - 2, 1)
-    sections = first[:, None] + shares * np.maximum(last - first, 0.0)[:, None]
-    return np.column_stack((sections, np.minimum(middle + inner, deepest)))
+    last = middle - LAST_SECTION * inner
+    share = np.arange(count - 1) / max(count - 2, 1)
+    sections = np.column_stack((first[:, None] + share * (last - first)[:, None], deepest))
+    # A short beam does not get through: all planes then share the way it goes.
+    even = first[:, None] + np.arange(count) / (count - 1) * (deepest - first)[:, None]
+    return np.where((deepest > last)[:, None], sections, even)
 
 
 def default_plan(
@@ -368,12 +378,12 @@ def default_plan(
 ) -> Plan:
     """A plan for an unknown object, from its bounding box alone, caps included.
 
-    Beam directions spread evenly over the band |phi2| <= 50 deg, opposite ones among them; for each, planes
-    of the tip run from where an ellipsoid inscribed in the box would tilt the tipped normal 60 deg out of Pi,
-    through the half that faces the base, to the deepest plane that leaves the base 0.1 L outside the box: the
-    silhouette from nearby. Directions that the gantry cannot serve are replaced by others. The step is a
-    twentieth of the longest edge. For an object of 200 mm that makes 60 contours and 1000 to 3300 contacts (a
-    ball that fills its box has the most).
+    Beam directions spread evenly over the band |phi2| <= 50 deg, opposite ones among them, none nearer than
+    30 deg to an axis of the box: faces square to the box then tilt at most 60 deg out of Pi. For each
+    direction, planes of the tip run from where an ellipsoid inscribed in the box would tilt that much, nearly
+    to its middle; the last contour goes as deep as leaves the base 0.1 L outside the box: the silhouette from
+    nearby. Directions that the gantry cannot serve are replaced by others. The step is a sixteenth of the
+    longest edge. For an object of 200 mm that makes 60 contours and 1000 to 3000 contacts.
 
     Args:
         bounds: (2, 3) m, lower and upper corner of the object's box in the world.

@@ -27,7 +27,7 @@ class SensingPlanes:
         self._a, self._b = plan.reach.half_planes(rotation, plan.level, length, mount)
 
     def poses(self, which: IntArray, u: FloatArray, depth: FloatArray) -> FloatArray:
-        """Poses (k, 5) of the contours ``which`` at ``u`` (k, 2) m in Pi and ``depth`` (k,) m along the beam."""
+        """Poses (k, 5) of the contours ``which`` at ``u`` (k, 2) m and ``depth`` (k,) m along the beam."""
         return np.column_stack((self._base(which, u, depth), self._joints[which]))
 
     def in_plane(self, pose: FloatArray, which: IntArray) -> FloatArray:
@@ -43,7 +43,7 @@ class SensingPlanes:
         return np.asarray(np.einsum("njk,nk->nj", self._axes[which], vector))
 
     def room(self, which: IntArray, start: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """How far within reach ``start`` (k, 2) m lies, negative when outside, and how far ``heading`` may be followed.
+        """How far within reach ``start`` (k, 2) m lies, negative outside, and how far ``heading`` may go on.
 
         Both (k,) m, at the contours' own levels.
         """
@@ -53,7 +53,7 @@ class SensingPlanes:
         return slack.min(axis=1), np.where(ahead, slack / np.where(ahead, rate, 1.0), np.inf).min(axis=1)
 
     def reachable(self, which: IntArray, u: FloatArray, depth: FloatArray) -> BoolArray:
-        """(k,) whether the axes let the base stand at ``u`` (k, 2) m and ``depth`` (k,) m, above the floor."""
+        """(k,) whether the base may stand at ``u`` (k, 2) m and ``depth`` (k,) m: axes and floor."""
         world = self.world(u, which) + depth[:, None] * self._direction[which]
         base = self._base(which, u, depth)
         within = (base >= self._reach.lower[:3]) & (base <= self._reach.upper[:3])

@@ -88,6 +88,7 @@ class Tracer:
         self._touch_sigma = TOUCH_SHARE * antenna.sensor.touch_moment * beam.length**2 / antenna.stiffness3
         self._highest = max(self._set.clearance * plan.step, 4.0 * beam.radius)
         self._height = np.full(n, self._highest)
+        self._run = np.zeros(n)  # [m] of the motion that touched
         self._withdraw = np.maximum(plan.level + beam.length - plan.near + self._highest, 0.0)
         self._limit = np.ceil(12.0 + self._set.turns * plan.perimeter / plan.step).astype(np.int64)
         self._outlines = Outlines(n)
@@ -130,8 +131,8 @@ class Tracer:
         return Move(w, self._planes.poses(w, self._start[w], self._depth[w]), self._way[w], self._travel[w])
 
     def clearance(self, which: IntArray) -> FloatArray:
-        """(k,) m to release by before the next move."""
-        return self._height[which]
+        """(k,) m to release by before the next move: never past where the motion that touched began."""
+        return np.minimum(self._height[which], self._run[which])
 
     def withdrawal(self, which: IntArray) -> Move:
         """A move that draws the beams ``which`` out of the object's box along themselves, for after they are
@@ -173,6 +174,7 @@ class Tracer:
         """Take note of where the approaches ended; rows of the reading to be localised now."""
         w = reading.which
         self._position[w] = self._planes.in_plane(reading.pose, w)
+        self._run[w] = reading.travel
         self._approaches[w] += 1
         status = self._status[w].copy()
         contact = reading.touched & (status != Status.RETURNING)
@@ -285,14 +287,15 @@ class Tracer:
         stalled = chord < STANDSTILL * self._step[w]
         self._stalls[w] = np.where(stalled, self._stalls[w] + 1, 0)
         bound = self._set.largest_turn / np.maximum(np.abs(self._bend[w]), 1e-9)
-        step = np.minimum(self._set.growth * self._step[w], np.where(known, bound, self._plan.step))
+        growth = np.where(stalled, 1.0, self._set.growth)
+        step = np.minimum(growth * self._step[w], np.where(known, bound, self._plan.step))
         # Round a corner the turn lies behind, not ahead: no need to creep on after it.
         behind = np.minimum(CORNER_STEP * self._plan.step, 0.5 * chord)
         smallest = np.maximum(
             self._set.smallest_step * self._plan.step, np.where(self._broken[w], behind, 0.0)
         )
-        self._step[w] = np.clip(step, smallest, self._plan.step)
-        # A wall opposite to the last one: the gap between them must hold the clearance.
+        step = np.clip(step, smallest, self._plan.step)
+        # A wall opposite to the last one: the gap between them must hold the clearance, and may widen slowly.
         opposite = self._broken[w] & (self._stage[w] == 0) & (np.abs(turn) > OPPOSITE)
         gap = np.abs(np.einsum("nk,nk->n", touch - self._last[w], normal))
         height = np.minimum(self._set.growth * self._height[w], self._highest)
@@ -301,6 +304,7 @@ class Tracer:
             np.minimum(np.maximum(self._set.clearance * gap, 4.0 * self._touch_sigma), height),
             height,
         )
+        self._step[w] = np.where(opposite, np.minimum(step, np.maximum(2.0 * gap, smallest)), step)
 
     # -------------------------------------------------------------------------------------- without a contact
 

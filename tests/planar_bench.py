@@ -171,7 +171,7 @@ class PlanarBench:
             outcome=outcome.astype(np.int8),
             pose=back,
             direction_world=np.where(flat[:, None] | blocked[:, None], went_world, direction_world),
-            travel=travel,
+            travel=np.where(blocked, stop, np.minimum(went, travel)),
             depth_per_sample=0.0,
             samples=Samples(
                 start=np.zeros(which.size + 1, dtype=np.int64),
