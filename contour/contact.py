@@ -40,7 +40,7 @@ from contour.response import (
     request_tip,
 )
 from contour.silhouette import ArcProfile, Profile, sampled
-from contour.slip import Path, follow
+from contour.slip import follow
 
 __all__ = [
     "SLIP_RATES",
@@ -57,7 +57,6 @@ __all__ = [
     "force_direction",
     "k_of_h",
     "k_of_h_printed",
-    "moment_angle",
     "one_push",
     "push_cycle",
     "push_cycle_profile",
@@ -193,7 +192,9 @@ def push_cycle_tip(
     """
     asked, chi, _ = request_tip(eps, thetas, distance, friction, radius_along, radius_across, tilt)
     path_angles, wanted = refine(asked.angles, STEPS_OUT)
-    path = follow(asked.eps, path_angles, asked.friction / np.cos(chi), ArcProfile(asked.bend))
+    path = follow(
+        asked.eps, path_angles, asked.friction / np.cos(chi), np.zeros_like(chi), ArcProfile(asked.bend)
+    )
     r = path.slope
     lifted = 1.0 - 0.1 * r * np.tan(chi) * np.cos(path.delta - np.pi - asked.eps)
     leant = np.tan(np.arctan(asked.friction * path.along) + 0.5 * r - chi)
@@ -210,21 +211,12 @@ def push_cycle_tip(
 
 def _answer(asked: PushRequest, profile: Profile) -> CycleResponse:
     path_angles, wanted = refine(asked.angles, STEPS_OUT)
-    path = follow(asked.eps, path_angles, asked.friction, profile)
+    path = follow(asked.eps, path_angles, asked.friction, asked.along, profile)
     scale, near = asked.distance[..., None], asked.share.T.reshape(asked.shape)
     return CycleResponse(
         delta=as_asked(asked, wanted, path.delta),
-        moment_angle=as_asked(asked, wanted, moment_angle(path, asked.friction, asked.along)) * near,
+        moment_angle=as_asked(asked, wanted, path.moment_angle) * near,
         slipped_off=as_asked(asked, wanted, path.slipped_off),
         slide=as_asked(asked, wanted, path.slide) * scale,
         arc_length=as_asked(asked, wanted, path.arc_length) * scale,
     )
-
-
-def moment_angle(path: Path, friction: FloatArray, along: FloatArray) -> FloatArray:
-    """|M| s/(3 EI) along a followed path [rad]: the lever over k(u), finite angle and friction along the beam."""
-    r = path.slope
-    stiff = 1.0 + (15.0 / 14.0) * r * r
-    stiff -= (0.2 * friction) * path.along * r
-    stiff *= softening(along * r)
-    return np.asarray(path.lever / stiff)

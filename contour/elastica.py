@@ -171,7 +171,7 @@ def _answer(asked: PushRequest, profile: Profile) -> RodCycleResponse:
 
 def _follow(asked: PushRequest, body: Body, profile: Profile, friction: FloatArray) -> RodCycleResponse:
     path_angles, wanted = refine(asked.angles, STEPS_OUT)
-    reduced = follow(asked.eps, path_angles, friction, profile)
+    reduced = follow(asked.eps, path_angles, friction, asked.along, profile)
     path = follow_rod(body, path_angles, reduced)
     scale, near = asked.distance[..., None], asked.share.T.reshape(asked.shape)
     return RodCycleResponse(

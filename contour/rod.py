@@ -173,7 +173,7 @@ class SideBody:
         lean_0 = sine * (self.sin_eps * sin + self.cos_eps * cos)
         ahead = cosine - sine * (self.sin_eps * out_c + self.cos_eps * out_n)
         depth = out_c * sin + out_n * cos + ahead * lean_0
-        linear = ahead - self.radius * lean_0
+        linear = ahead + 0.5 * self.radius * lean_0
         constant = 1.5 * depth - lean_0 * ahead
         root = np.sqrt(np.maximum(linear * linear - self.radius * constant, 0.0))
         return Contact(b, 2.0 * constant / (linear + root), 0.5 * np.pi - np.arctan(self.friction * along))

@@ -116,6 +116,11 @@ def _newton(body: Body, theta: FloatArray, c: Contact, before: Memory) -> tuple[
         body.grip,
         (here[1], here[2]),
     )
+    held = body.profile.held()
+    if held.any():
+        # On a corner nothing slides across, and what the rod pays out is held by the grip alone.
+        lon = -np.sign(force[1]) * np.maximum(np.abs(force[1]) - body.grip, 0.0) / stiff[1][2]
+        slip = (np.where(held, -before.slip_lat, slip[0]), np.where(held, lon, slip[1]))
     target = (-here[0], slip[0] - here[1], slip[1] - here[2])
     move = [row[0] * target[0] + row[1] * target[1] + row[2] * target[2] for row in inverse]
     far = np.maximum(np.maximum(np.abs(move[0]), np.abs(move[1])) / theta, np.abs(move[2]))

@@ -22,6 +22,8 @@ BoolArray = NDArray[np.bool_]
 
 MAX_TURN = 2.6
 """Turn of the normal along the profile beyond which the contact has left the body [rad]."""
+SHARPEST = 1e8
+"""Curvature, in 1/s, above which a profile is a corner."""
 LEAST_SAMPLES = 4
 """Fewest samples of a profile: a parabola's slopes at both ends."""
 
@@ -66,6 +68,10 @@ class Profile(Protocol):
         """Longest bracket in b that resolves the profile."""
         ...
 
+    def held(self) -> BoolArray:
+        """Where the contact cannot slide: on a corner."""
+        ...
+
     def rows(self, index: NDArray[np.int64]) -> Profile:
         """The same for a selection."""
         ...
@@ -76,11 +82,13 @@ class ArcProfile:
 
     b = (2/kappa) tan(kappa a/2) has no trigonometry in it and no special case for a flat profile:
     with tau = kappa b/2, c_t = b/(1 + tau^2), c_n = -tau c_t, cos omega = (1 - tau^2)/(1 + tau^2).
+    Arcs sharper than SHARPEST are corners, on which a contact stays.
     """
 
     def __init__(self, curvature: FloatArray) -> None:
-        self.curvature = curvature
-        self.half = 0.5 * curvature
+        self.corner = np.abs(curvature) > SHARPEST
+        self.curvature = np.where(self.corner, 0.0, curvature)
+        self.half = 0.5 * self.curvature
 
     def at(self, b: FloatArray) -> Frame:
         """Point and directions at b."""
@@ -123,9 +131,15 @@ class ArcProfile:
         """A tenth of the radius, at most half of s."""
         return 0.1 / (np.abs(self.curvature) + 0.2)
 
+    def held(self) -> BoolArray:
+        """Where the arc is a corner."""
+        return self.corner
+
     def rows(self, index: NDArray[np.int64]) -> ArcProfile:
         """The same for a selection."""
-        return ArcProfile(self.curvature[index])
+        part = object.__new__(ArcProfile)
+        part.curvature, part.half, part.corner = self.curvature[index], self.half[index], self.corner[index]
+        return part
 
 
 class SampledProfile:
@@ -202,6 +216,10 @@ class SampledProfile:
     def reach(self) -> FloatArray:
         """Half the shortest cell."""
         return np.asarray(0.5 * self.cell.min(axis=-1))
+
+    def held(self) -> BoolArray:
+        """Nowhere: samples show no corner."""
+        return np.zeros(self.offsets.shape[0], dtype=np.bool_)
 
     def rows(self, index: NDArray[np.int64]) -> SampledProfile:
         """The same for a selection."""

@@ -70,8 +70,8 @@ def _one_path(eps, theta, mu, radius, kappa):
     angles, _ = refine(np.array([[theta]]), 16)
     e, m = np.array([eps]), np.array([mu])
     profile = ArcProfile(np.array([kappa]))
-    body = SideBody(e, m, np.array([radius]), profile)
-    return follow_rod(body, angles, follow(e, angles, m, profile))
+    r = np.array([radius])
+    return follow_rod(SideBody(e, m, r, profile), angles, follow(e, angles, m, r, profile))
 
 
 @pytest.mark.parametrize(
@@ -296,6 +296,28 @@ def test_reduced_tip_is_right_to_first_order(rng):
     assert exact.converged.all()
     assert np.allclose(near.moment_angle[:, :8], exact.moment_angle[:, :8], rtol=0.005)
     assert np.sqrt(np.mean((near.delta - exact.delta) ** 2)) < np.radians(1.0)
+
+
+def test_corner_holds_the_contact():
+    """radius_across = 0: nothing slides across, and friction along the beam stays."""
+    args = {"distance": 0.1, "friction": 0.2, "radius_along": 0.0}
+    corner = elastica.push_cycle([0.0, 0.4], 0.05 * OUT_AND_BACK, radius_across=0.0, **args)
+    straight = elastica.push_cycle(0.0, 0.05 * OUT_AND_BACK, radius_across=np.inf, **args)
+    assert corner.converged.all()
+    assert np.allclose(corner.delta, np.pi, atol=1e-9)
+    assert np.allclose(corner.moment_angle[0], straight.moment_angle, rtol=1e-9)
+    # The rod is tangent to a normal 0.4 rad beside its bend: friction mu r/5 sees tan(0.4)^2 r of it, second order.
+    assert np.allclose(corner.moment_angle[1], straight.moment_angle, rtol=0.2 * 0.05**2)
+
+
+def test_upright_tip_slides_as_a_side():
+    """tilt = 0, flat: the slip of the tip is the slip of a side but for the rod's fixed length, theta^2 of each."""
+    args = {"distance": 0.2, "friction": 0.2, "radius_across": np.inf}
+    eps = np.array([0.05, 0.15, 0.4])
+    tip = elastica.push_cycle_tip(eps, 0.05 * OUT_AND_BACK, radius_along=np.inf, tilt=0.0, **args)
+    side = elastica.push_cycle(eps, 0.05 * OUT_AND_BACK, radius_along=0.0, **args)
+    off = side.delta[:, :8] - np.pi
+    assert np.allclose(tip.delta[:, :8] - np.pi, off, rtol=0.05, atol=1e-4)
 
 
 def test_zero_angle_is_the_start():
