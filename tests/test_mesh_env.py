@@ -130,8 +130,12 @@ def test_beam_along_a_rod_touches_a_line_with_the_rods_profile():
 
 
 def test_a_facet_along_the_beam_is_no_line():
-    """On a coarse sphere a facet may lie along the beam; the smooth surface there is bent all the same."""
-    contact = sphere(level=2).first_contact(np.array([[0.1, 0.0, 0.1]]), -Z, LENGTH, translation=-0.1 * X)
+    """A facet of 13 mm that lies along the beam is no line: the drum it stands for is bent along the beam."""
+    drum = trimesh.creation.cylinder(radius=0.05, height=0.1, sections=24)
+    drum.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 24, [0, 0, 1]))
+    drum.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    contact = MeshEnvironment(drum).first_contact([[0.1, 0.003, 0.1]], -Z, LENGTH, translation=-0.1 * X)
+    assert contact.travel[0] == pytest.approx(0.1 - 0.05 * np.cos(np.pi / 24), abs=1e-9)
     assert not contact.line[0]
     assert contact.kind[0] == TouchKind.SIDE
     assert contact.curvature_along[0] == pytest.approx(20.0, rel=0.02)
@@ -173,6 +177,24 @@ def test_rim_of_a_disc_is_round_across():
     assert contact.kind[0] == TouchKind.EDGE
     # Seen along the beam a circle of radius r is an ellipse of curvature sin(tilt) / r at its flat side.
     assert contact.curvature_across[0] == pytest.approx(radial / 0.006, rel=5e-3)
+
+
+def test_rim_met_askew_has_the_curvature_of_its_projection():
+    """A beam skew over a rim slides on the projection of the rim: compared by finite differences."""
+    drum = trimesh.creation.cylinder(radius=0.03, height=0.1, sections=512)
+    direction = unit(np.array([[-1.0, 0.9, 0.2]]))
+    contact = MeshEnvironment(drum).first_contact(
+        [[0.12, -0.08, 0.1]], direction, LENGTH, translation=-0.1 * Z
+    )
+    assert contact.kind[0] == TouchKind.EDGE
+    turn = np.arctan2(contact.point[0, 1], contact.point[0, 0]) + np.array([-1e-3, 0.0, 1e-3])
+    rim = np.stack([0.03 * np.cos(turn), 0.03 * np.sin(turn), np.full(3, 0.05)], axis=1)
+    across, up = rim @ np.cross(direction, contact.normal)[0], rim @ contact.normal[0]
+    slope = np.diff(up) / np.diff(across)
+    bend = np.diff(slope)[0] / (0.5 * (across[2] - across[0])) / (1.0 + slope.mean() ** 2) ** 1.5
+    assert abs(np.einsum("ij,ij->i", contact.edge_direction, direction)[0]) > 0.3
+    # Sides of 0.37 mm: the normal differs from the circle's by up to half a side, 0.4 degrees.
+    assert contact.curvature_across[0] == pytest.approx(-bend, rel=0.02)
 
 
 def test_silhouette_of_a_skew_rod_is_straight():
