@@ -40,6 +40,13 @@ class MeshEnvironment:
         mesh_or_scene: in metres; each placed geometry of a scene is a body.
         friction: Coulomb coefficient between beam and bodies, one for all or one for each.
         smoothing: rounds of averaging the curvature over neighbouring vertices, 0 to 3, for scanned meshes.
+
+    >>> ball = MeshEnvironment(trimesh.creation.icosphere(subdivisions=4, radius=0.05))
+    >>> contact = ball.first_contact([[0.1, 0, 0.1]], [[0, 0, -1]], 0.21, translation=[[-0.1, 0, 0]])
+    >>> round(float(contact.travel[0]), 4), round(float(contact.distance[0]), 3)
+    (0.05, 0.1)
+    >>> TouchKind(contact.kind[0]).name, round(1 / float(contact.curvature_across[0]), 4)
+    ('SIDE', 0.05)
     """
 
     def __init__(
