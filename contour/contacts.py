@@ -108,6 +108,28 @@ class Contacts:
         return type(self)(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
     @classmethod
+    def none(cls) -> Self:
+        """No contacts at all."""
+        wide = {"touch": 2, "point": 3, "normal": 3}
+        whole = {
+            "which": np.int64,
+            "kind": np.int8,
+            "pushes": np.int64,
+            "flags": np.int64,
+            "sequence": np.int64,
+        }
+        return cls(
+            **{
+                f.name: np.zeros(
+                    (0, wide[f.name]) if f.name in wide else 0, dtype=whole.get(f.name, np.float64)
+                )
+                for f in fields(cls)
+            }
+        )
+
+    @classmethod
     def concatenate(cls, parts: list[Self]) -> Self:
         """All contacts of ``parts``, in their order."""
+        if not parts:
+            return cls.none()
         return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})

@@ -298,6 +298,11 @@ class RecordingInstrument:
         """(antennas,) s."""
         return self._instrument.machine_time
 
+    @property
+    def calls(self) -> list[tuple[str, IntArray, ZeroReading | ApproachReading | PushReading | FloatArray]]:
+        """Every call so far: its kind, the antennas asked and what was answered."""
+        return [(kind, which, reading) for kind, which, reading, _ in self._calls]
+
     def _keep(self, kind: str, which: IntArray, reading: _R) -> _R:
         self._calls.append((kind, which.copy(), reading, self._instrument.machine_time.copy()))
         return reading

@@ -1,13 +1,18 @@
-"""The pipeline: from a scene to a folder of contacts."""
+"""The pipeline: from a scene to a folder of contacts.
+
+A result folder has ``contacts.csv`` (SI units), ``points.ply`` and ``points.vtp``, ``readings.npz`` (all
+samples, for :func:`replay`), ``log.jsonl`` (events, one JSON object a line), ``run.json`` (resolved scene,
+versions, seed) and ``metrics.json``, which is written last: its presence says done.
+"""
 
 from __future__ import annotations
 
-import io
-import logging
+import json
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +22,17 @@ from numpy.typing import NDArray
 import contour
 from contour import cloud
 from contour.bodies import build_environment
-from contour.contacts import Contacts
+from contour.contacts import Contacts, flag_names
 from contour.evaluate import errors_of, figures, true_columns
-from contour.instrument import Instrument, RecordingInstrument
+from contour.instrument import (
+    ApproachReading,
+    Instrument,
+    Outcome,
+    PushReading,
+    RecordingInstrument,
+    ReplayInstrument,
+    Stop,
+)
 from contour.ladder import Rung
 from contour.localise import localise
 from contour.mesh_env import MeshEnvironment
@@ -28,18 +41,21 @@ from contour.plan import Plan
 from contour.scene import Scene
 from contour.sensing import Strategy
 from contour.strategy import make_strategy
-from contour.tracing import Trace, Tracer
+from contour.trace import Status, Trace
+from contour.tracing import Tracer
 from contour.truth import truth_of
 from contour.virtual import TrueContact
 
-__all__ = ["Job", "Observed", "Progress", "follow", "prepare", "run"]
-
-logger = logging.getLogger(__name__)
+__all__ = ["Job", "Observed", "Progress", "events", "follow", "prepare", "replay", "run"]
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int, float], None]
-"""``progress(contacts, share)``: contacts made so far and the share of contours that are done."""
+"""``progress(contacts, share)``: contacts made so far and the share of the work that is done."""
 Observer = Callable[[Contacts], None]
+LIBRARIES = ("numpy", "scipy", "trimesh", "embreex")
+"""What the numbers of a run depend on, besides contour itself."""
+NEARLY = 0.95
+"""Largest share that a contour counts for before it has ended."""
 
 
 @dataclass(slots=True)
@@ -58,10 +74,10 @@ class Observed:
 
     def truth(self) -> tuple[TrueContact, NDArray[np.int8]]:
         """All of it, in the order of the contacts."""
-        merged = {
-            f.name: np.concatenate([getattr(p, f.name) for p in self.parts]) for f in fields(TrueContact)
-        }
-        return TrueContact(**merged), np.concatenate(self.rungs)
+        nothing = truth_of(self.instrument, np.zeros(0, dtype=np.int64))
+        parts, rungs = [nothing[0], *self.parts], [nothing[1], *self.rungs]
+        merged = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(TrueContact)}
+        return TrueContact(**merged), np.concatenate(rungs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -95,11 +111,14 @@ def follow(
     tracer: Tracer,
     *,
     observe: Observer | None = None,
-    progress: Progress | None = None,
 ) -> tuple[Contacts | None, Trace]:
-    """Trace every contour of ``tracer``, all in lockstep; the contacts in the order they were made."""
+    """Trace every contour of ``tracer``, all in lockstep.
+
+    Returns:
+        The contacts in the order they were made, None if there are none, and how the contours went.
+        ``observe`` sees the contacts of each round as they are made.
+    """
     parts: list[Contacts] = []
-    made = 0
     begun = instrument.machine_time
     while tracer.active.size:
         reading = instrument.approach(*tracer.ask())
@@ -122,9 +141,6 @@ def follow(
             tracer.tell(contacts)
             instrument.release(contacts.which, tracer.clearance(contacts.which))
             parts.append(contacts)
-            made += len(contacts)
-        if progress is not None:
-            progress(made, 1.0 - tracer.active.size / instrument.antennas)
     return (tracer.place(Contacts.concatenate(parts)) if parts else None), tracer.summary()
 
 
@@ -141,59 +157,116 @@ def run(job: Job, folder: Path, *, progress: Progress | None = None) -> dict[str
         tolerance=scene.scan.tolerance,
     )
     recorder = RecordingInstrument(simulated)
-    strategy = make_strategy(scene.scan.strategy, job.plan.contours, scene.antenna, scene.mount)
     tracer = Tracer(job.plan, scene.mount, scene.antenna)
     observed = Observed(simulated)
+
+    def observe(contacts: Contacts) -> None:
+        observed(contacts)
+        if progress is not None:
+            progress(sum(rung.size for rung in observed.rungs), _share(tracer.summary(), job.plan))
+
     begun, rays = time.perf_counter(), job.environment.rays_cast
-    contacts, trace = follow(recorder, strategy, tracer, observe=observed, progress=progress)
+    found, trace = follow(recorder, _strategy(job), tracer, observe=observe)
     spent = time.perf_counter() - begun
-    folder.mkdir(parents=True, exist_ok=True)
-    cost = {
+    contacts = Contacts.none() if found is None else found
+    truth, rungs = observed.truth()
+    metrics = {
+        **figures(contacts, errors_of(contacts, truth, scene.antenna.beam.length)),
         "rays_cast": job.environment.rays_cast - rays,
         "scan_s": spent,
-        "contacts_per_s": (len(contacts) if contacts is not None else 0) / spent,
+        "contacts_per_s": len(contacts) / spent,
         "machine_time_s": float(recorder.machine_time.sum()),
+        "rungs": {rung.name.lower(): int(np.count_nonzero(rungs == rung)) for rung in Rung},
     }
-    cloud.write_json(folder / "run.json", _run_record(scene, trace))
-    _write_log(folder, trace)
-    if contacts is None:
-        metrics = {"contacts": 0, "flagged": 0, **cost}
-        cloud.write_json(folder / "metrics.json", metrics)
-        return metrics
-    truth, rungs = observed.truth()
-    errors = errors_of(contacts, truth, scene.antenna.beam.length)
     columns = cloud.table(contacts, true_columns(truth, rungs))
+    folder.mkdir(parents=True, exist_ok=True)
+    cloud.write_json(folder / "run.json", _run_record(scene))
+    lines = [json.dumps(event) + "\n" for event in events(recorder, contacts, trace)]
+    (folder / "log.jsonl").write_text("".join(lines), encoding="utf-8")
+    np.savez_compressed(folder / "readings.npz", allow_pickle=False, **recorder.log())
     cloud.write_csv(folder / "contacts.csv", columns)
     cloud.write_ply(folder / "points.ply", columns, unit="m")
     cloud.write_vtp(folder / "points.vtp", columns, unit="m")
-    _write_readings(folder / "readings.npz", recorder)
-    counts = {rung.name.lower(): int(np.count_nonzero(rungs == rung)) for rung in Rung}
-    metrics = {**figures(contacts, errors), **cost, "rungs": counts}
     cloud.write_json(folder / "metrics.json", metrics)
     return metrics
 
 
-def _run_record(scene: Scene, trace: Trace) -> dict[str, Any]:
+def replay(job: Job, readings: Path) -> tuple[Contacts | None, Trace]:
+    """The contacts of a scan again, bit for bit, from its ``readings.npz`` and the job that it was."""
+    with np.load(readings) as log:
+        instrument = ReplayInstrument(dict(log), antenna=job.scene.antenna, mount=job.scene.mount)
+    tracer = Tracer(job.plan, job.scene.mount, job.scene.antenna)
+    return follow(instrument, _strategy(job), tracer)
+
+
+def events(recorder: RecordingInstrument, contacts: Contacts, trace: Trace) -> Iterator[dict[str, Any]]:
+    """What happened: every call of the instrument, every flagged contact, and how each contour ended."""
+    for number, (kind, which, reading) in enumerate(recorder.calls):
+        event = {"event": kind, "call": number, "contours": which.size}
+        if isinstance(reading, ApproachReading):
+            event |= {o.name.lower(): int(np.count_nonzero(reading.outcome == o)) for o in Outcome}
+        elif isinstance(reading, PushReading):
+            event |= {f"stop_{s.name.lower()}": int(np.count_nonzero(reading.stop == s)) for s in Stop}
+        yield event
+    for row in np.flatnonzero(~contacts.good).tolist():
+        yield {
+            "event": "flagged",
+            "contact": row,
+            "contour": int(contacts.which[row]),
+            "flags": flag_names(int(contacts.flags[row])),
+        }
+    for contour_number, reason in enumerate(trace.reason):
+        yield {
+            "event": "contour",
+            "contour": contour_number,
+            "status": Status(trace.status[contour_number]).name.lower(),
+            "contacts": int(trace.contacts[contour_number]),
+            "approaches": int(trace.approaches[contour_number]),
+            "ended": reason,
+        }
+
+
+def _strategy(job: Job) -> Strategy:
+    scene = job.scene
+    return make_strategy(scene.scan.strategy, job.plan.contours, scene.antenna, scene.mount)
+
+
+def _share(trace: Trace, plan: Plan) -> float:
+    """Share of the work done: a contour that is followed counts by the way made round the box's outline."""
+    way = np.minimum(trace.contacts * plan.step / np.maximum(plan.perimeter, plan.step), NEARLY)
+    return float(np.mean(np.where(trace.status >= Status.CLOSED, 1.0, way)))
+
+
+def _run_record(scene: Scene) -> dict[str, Any]:
     return {
-        "contour": contour.__version__,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
+        "versions": {
+            "contour": contour.__version__,
+            "python": platform.python_version(),
+            **{name: _version(name) for name in LIBRARIES},
+        },
+        "commit": _commit(Path(contour.__file__).resolve().parents[1]),
         "seed": scene.scan.seed,
         "scene": scene.resolved(),
-        "contours": {"reasons": list(trace.reason), "approaches": trace.approaches.tolist()},
     }
 
 
-def _write_log(folder: Path, trace: Trace) -> None:
-    lines = io.StringIO()
-    for i, (reason, contacts, approaches) in enumerate(
-        zip(trace.reason, trace.contacts.tolist(), trace.approaches.tolist(), strict=True)
-    ):
-        lines.write(
-            f'{{"contour": {i}, "contacts": {contacts}, "approaches": {approaches}, "ended": "{reason}"}}\n'
-        )
-    (folder / "log.jsonl").write_text(lines.getvalue())
+def _version(library: str) -> str | None:
+    try:
+        return version(library)
+    except PackageNotFoundError:  # embree has no wheels for some machines
+        return None
 
 
-def _write_readings(path: Path, recorder: RecordingInstrument) -> None:
-    np.savez_compressed(path, **recorder.log())  # type: ignore[arg-type]
+def _commit(root: Path) -> str | None:
+    """The commit of the source tree at ``root``; None where it is no git repository."""
+    git = root / ".git"
+    if not (git / "HEAD").is_file():
+        return None
+    kind, _, name = (git / "HEAD").read_text(encoding="utf-8").strip().rpartition(" ")
+    if not kind:
+        return name
+    if (git / name).is_file():
+        return (git / name).read_text(encoding="utf-8").strip()
+    packed = git / "packed-refs"
+    lines = packed.read_text(encoding="utf-8").splitlines() if packed.is_file() else []
+    return next((line.split()[0] for line in lines if line.endswith(f" {name}")), None)

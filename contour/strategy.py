@@ -11,10 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from contour.antenna import Antenna
+from contour.bisection import BisectionSettings, BisectionStrategy
 from contour.errors import UsageError
 from contour.frames import Mount
 from contour.model import ModelSettings, ModelStrategy
+from contour.one_push import OnePushStrategy
 from contour.sensing import Action, Ask, Strategy, Touch
 
 __all__ = [
@@ -28,11 +32,19 @@ __all__ = [
     "make_strategy",
 ]
 
+LIMITED_STEP = float(np.deg2rad(40.0))
+"""Turn of ``bisection-limited``: twice the largest friction angle expected [rad]."""
+
 _MAKERS: dict[str, Callable[[int, Antenna, Mount], Strategy]] = {
     "model": ModelStrategy,
     "model-out": lambda n, antenna, mount: ModelStrategy(
         n, antenna, mount, ModelSettings(both_strokes=False)
     ),
+    "bisection": BisectionStrategy,
+    "bisection-limited": lambda n, antenna, mount: BisectionStrategy(
+        n, antenna, mount, BisectionSettings(largest_step=LIMITED_STEP, name="bisection-limited")
+    ),
+    "one-push": OnePushStrategy,
 }
 
 STRATEGIES = tuple(_MAKERS)
