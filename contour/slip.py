@@ -346,8 +346,10 @@ def _improve(
     y = -pull
     y -= grip
     y /= slope_t
-    np.maximum(y, low, out=y)
     np.maximum(y, y_old, out=y)
+    # Where the body curves away faster than the rod follows, the law has a second root: stay this side of it.
+    np.copyto(y, 0.0, where=slope_t <= 0.0)
+    np.maximum(y, low, out=y)
     low *= 0.5
     for _ in range(inner):
         along = pay * y

@@ -306,6 +306,23 @@ def test_small_radii_run_round_the_body(q, delta, ratio):
     assert float(push.compliance_ratio) == pytest.approx(ratio, rel=0.004)
 
 
+@pytest.mark.parametrize("q", [0.35, 0.45, 0.6, 0.9])
+def test_pushes_inside_the_cone_hold_on_bodies_smaller_than_their_depth(q):
+    """eps to 8 deg within alpha = 10 deg: friction holds what the curvature would let run; C/c0 within 0.2 %."""
+    theta = np.radians(4.0)
+    push = contact.push_response(
+        np.radians([2.0, 5.0, 8.0]),
+        theta,
+        distance=0.1,
+        friction=np.tan(np.radians(10.0)),
+        radius_along=0.0,
+        radius_across=q * theta * 0.1,
+    )
+    assert not push.slipped_off.any()
+    assert np.allclose(push.compliance_ratio, 1.0, atol=0.0021)
+    assert np.all(np.degrees(push.delta) - 180.0 < 1.0)
+
+
 def test_corner_holds_the_contact():
     """radius_across = 0: no slide, no turn of the force."""
     push = contact.push_response(0.3, 0.05, distance=0.1, friction=0.1, radius_along=0.0, radius_across=0.0)
