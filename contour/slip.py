@@ -462,10 +462,8 @@ def _solve(
         bad = bad.take(np.flatnonzero(~settled))
         if not bad.which.size:
             break
-    _, normal = _residual(rows.rows(rest), turn.rows(rest), b[rest], before.rows(rest))
-    lost = np.union1d(bad.which, rest[normal <= 0.0])
-    if lost.size:
-        b[lost], on_body[lost] = _search(rows.rows(lost), turn.rows(lost), before.rows(lost), depth[lost])
+    if bad.which.size:
+        b[bad.which], on_body[bad.which] = _search(bad.rows, bad.turn, bad.before, bad.depth)
     return b, on_body
 
 
@@ -548,6 +546,14 @@ def _follow_rows(rows: _Rows, thetas: FloatArray, out: dict[str, FloatArray], sl
         if gone.any():
             new = np.where(gone, b, new)
         p = _place(rows, turn, new)
+        pulled = np.flatnonzero((p.normal <= 0.0) & ~gone)
+        if pulled.size:
+            # A root at which the body would have to pull: look for one further on, or the contact is lost.
+            new[pulled], on_body = _search(
+                rows.rows(pulled), turn.rows(pulled), before.rows(pulled), theta[pulled]
+            )
+            gone[pulled] = ~on_body
+            p = _place(rows, turn, new)
         c = _conditions(rows, turn, p, new, before)
         along = c.paid / np.sqrt(c.slid * c.slid + c.paid * c.paid + NOTHING)
         slid, pay = c.slid + before.slid, c.paid + before.paid - paid
