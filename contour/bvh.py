@@ -18,7 +18,7 @@ __all__ = ["Bvh", "Regions"]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-LEAF_FACES = 4
+LEAF_FACES = 8
 """Largest number of faces in a leaf: smaller leaves cost descents, larger ones cost exact tests."""
 ROOT_NODES = 64
 """Levels with at most this many nodes are skipped: testing all of them at once is cheaper than descending."""

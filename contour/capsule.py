@@ -189,8 +189,15 @@ def _ball_root(start: FloatArray, way: FloatArray, radius: float) -> tuple[Float
     return np.where(inside, 0.0, c / np.where(met & ~inside, below, 1.0)), met
 
 
-def turn_features(local: FloatArray, length: FloatArray, radius: float) -> Features:
-    """Features of triangles (3 coordinates, 3 corners, k) for beams that turn from X towards Y."""
+def turn_features(local: FloatArray, length: FloatArray, radius: float, limit: FloatArray) -> Features:
+    """Features of triangles for beams that turn from X towards Y.
+
+    Args:
+        local: coordinates of the corners (3 coordinates, 3 corners, k).
+        length: of the beams (k,).
+        radius: of the beams.
+        limit: angle beyond which nothing is wanted (k,).
+    """
     found = _Found(local.shape[2])
     X, Y, Z = local
     square = X * X + Y * Y
@@ -206,7 +213,7 @@ def turn_features(local: FloatArray, length: FloatArray, radius: float) -> Featu
         found.add(_EDGE_CODES[i], np.where(inside, 0.0, travel), np.where(inside, X[i], place), met | inside)
     far = np.nonzero(np.sqrt(_most(square)) >= length - radius)[0]
     if len(far):
-        _turn_tip(found, _rows_first(local, far), length[far], radius, far)
+        _turn_tip(found, _rows_first(local, far), length[far], radius, limit[far], far)
     about_base = (local.min(axis=1) <= radius) & (local.max(axis=1) >= -radius)
     near = np.nonzero(about_base.all(axis=0))[0]
     if len(near):
@@ -250,7 +257,15 @@ def _turn_edge(
         found.add(where, travel, place, met & skew & _between(place, length) & _between(share, 1.0))
 
 
-def _turn_tip(found: _Found, corners: FloatArray, length: FloatArray, radius: float, rows: IntArray) -> None:
+def _turn_tip(
+    found: _Found,
+    corners: FloatArray,
+    length: FloatArray,
+    radius: float,
+    limit: FloatArray,
+    rows: IntArray,
+) -> None:
+    """Tip against face, edges and vertices."""
     normal = _unit_normal(corners)
     plane = np.einsum("kj,kj->k", corners[:, 0], normal)
     size = length * np.hypot(normal[:, 0], normal[:, 1])
@@ -265,7 +280,7 @@ def _turn_tip(found: _Found, corners: FloatArray, length: FloatArray, radius: fl
     still = np.zeros_like(at_start)
     _slide_end(found, Where.TIP, corners, at_start, still, radius, length, rows)
     for i in range(3):
-        start, side = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
+        start = corners[:, i]
         # |tip - P|^2 = r^2: L^2 + P^2 - r^2 = 2 L (cos X + sin Y), entered from below the phase.
         reach = 2.0 * length * np.hypot(start[:, 0], start[:, 1])
         level = length**2 + np.einsum("kj,kj->k", start, start) - radius * radius
@@ -273,13 +288,17 @@ def _turn_tip(found: _Found, corners: FloatArray, length: FloatArray, radius: fl
         angle = np.arccos(np.clip(level / np.where(reach > 0.0, reach, 1.0), -1.0, 1.0))
         travel = np.mod(np.arctan2(start[:, 1], start[:, 0]) - angle, 2.0 * np.pi)
         found.add(Where.TIP, travel, length, met, rows)
-        _turn_tip_edge(found, start, side, length, radius, rows)
+    starts = corners.reshape(-1, 3)
+    sides = corners[:, [1, 2, 0]].reshape(-1, 3) - starts
+    angle, met = _tip_edge_root(starts, sides, np.repeat(length, 3), radius, np.repeat(limit, 3))
+    for i in range(3):
+        found.add(Where.TIP, angle[i::3], length, met[i::3], rows)
 
 
-def _turn_tip_edge(
-    found: _Found, start: FloatArray, side: FloatArray, length: FloatArray, radius: float, rows: IntArray
-) -> None:
-    """Tip and edge: the first angle at which h = |tip - P|^2 - ((tip - P) . u)^2 - r^2 falls to zero on it.
+def _tip_edge_root(
+    start: FloatArray, side: FloatArray, length: FloatArray, radius: float, limit: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """The first angle at which h = |tip - P|^2 - ((tip - P) . u)^2 - r^2 falls to zero on an edge, if any.
 
     h is a trigonometric polynomial of second degree, so |h''| <= M. No root lies before the root of
     |h| + |h|' x - M x^2 / 2: steps to it never pass a root and converge quadratically. Entries beside the
@@ -302,14 +321,14 @@ def _turn_tip_edge(
         slope = 2.0 * length * (si * start[:, 0] - co * start[:, 1]) - 2.0 * q * dq
         entry = (np.abs(h) <= tiny) & (slope <= 0.0)
         met |= entry & _between(q * np.sqrt(1.0 / square), 1.0) & (angle > 0.0)
-        running = ~met & (angle < np.pi)
+        running = ~met & (angle <= limit)
         if not running.any():
             break
         size, rise = np.abs(h), np.where(h < 0.0, -slope, slope)
         step = 2.0 * size / np.maximum(np.sqrt(rise**2 + 2.0 * bend * size) - rise, 1e-300)
         step = np.where((h <= tiny) | entry, np.maximum(step, ROOT_PUSH), step)
         angle = np.where(running, angle + np.minimum(step, np.pi), angle)
-    found.add(Where.TIP, angle, length, met, rows)
+    return angle, met
 
 
 def _tip(angle: FloatArray, length: FloatArray) -> FloatArray:

@@ -26,9 +26,9 @@ IntArray = NDArray[np.int64]
 
 CHUNK = 512
 """Beams solved at once: their candidates then stay in the cache."""
-SLIDE_FAN, SLIDE_FAN_FINE = 16, 6
+SLIDE_FAN, SLIDE_FAN_FINE = 12, 6
 """Rays along the motion from points of the beam, and between the best one's neighbours."""
-TURN_FAN, TURN_ROUNDS = 8, 3
+TURN_FAN, TURN_ROUNDS = 6, 4
 """Rays along the beam at angles of the sweep, and how often the step before the first hit is divided again.
 """
 TIE = 1e-7
@@ -111,12 +111,12 @@ class FirstContactSolver:
         row = np.nonzero(face >= 0)[0]
         bound = motions.limit.copy()
         # A capsule about an axis that meets a face meets it no later than the axis does.
-        first = _features(motions, row, self._square(motions, row, face[row]), radius).travel.min(axis=0)
-        bound[row] = np.minimum(bound[row], first)
+        first = _features(motions, row, self._square(motions, row, face[row]), radius, bound)
+        bound[row] = np.minimum(bound[row], first.travel.min(axis=0))
         regions = _swept(motions, bound, radius)
         owner, leaf = self.bvh.leaves_in(regions)
         owner, face = self._candidates(regions, owner, leaf)
-        features = _features(motions, owner, self._square(motions, owner, face), radius)
+        features = _features(motions, owner, self._square(motions, owner, face), radius, bound)
         return _reduce_features(motions, owner, face, features, n)
 
     def _candidates(self, regions: Regions, owner: IntArray, leaf: IntArray) -> tuple[IntArray, IntArray]:
@@ -288,11 +288,13 @@ def _swept(motions: Motions, bound: FloatArray, radius: float = 0.0) -> Regions:
     return Regions(slabs=slabs, low=low + shift - pad, high=high + shift + pad, centre=centre, reach=reach)
 
 
-def _features(motions: Motions, owner: IntArray, local: FloatArray, radius: float) -> Features:
-    """Travel of the motions owner (k,) to the features of one triangle each (3, 3, k)."""
+def _features(
+    motions: Motions, owner: IntArray, local: FloatArray, radius: float, bound: FloatArray
+) -> Features:
+    """Travel, up to the bound (n,), of motions owner (k,) to the features of a triangle each (3, 3, k)."""
     length = motions.length.take(owner)
     if motions.turning:
-        return turn_features(local, length, radius)
+        return turn_features(local, length, radius, bound.take(owner) + TIE / length)
     along = np.einsum("nj,nj->n", motions.advance, motions.direction)
     sine = np.linalg.norm(np.cross(motions.direction, motions.advance), axis=1)
     ahead = np.where(sine < AXIAL, 0.0, sine)
