@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contour.antenna import Antenna
-from contour.contact import push_cycle
+from contour.contact import push_cycle, push_cycle_tip
 from contour.sensing import Bins, Touch
 
 __all__ = [
@@ -43,19 +43,21 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 LN_S, NU, LN_TAN_ALPHA, R_ALONG, BEND = range(5)
 PARAMETERS = 5
 
 _STEP = np.array([0.0, 2e-4, 2e-3, 2e-3, 1e-2])
 """Differences for the derivatives; the moment follows ln s exactly and needs none."""
-_LOWER = np.array([np.log(2e-3), -np.inf, np.log(np.tan(np.deg2rad(0.3))), -0.3, -400.0])
+_LOWER = np.array([np.log(2e-3), -np.inf, np.log(np.tan(np.deg2rad(0.3))), -4.0, -400.0])
 _UPPER = np.array([np.log(1.0), np.inf, np.log(np.tan(np.deg2rad(45.0))), 4.0, 400.0])
 _MAX_STEP = np.array([0.5, 0.15, 0.7, 0.5, 5.0])
-_SETTLED = np.array([3e-5, 5e-4, 1e-2, 1e-2, 1e-1])
 _ITERATIONS = 12
 _SMALL_GAIN = 0.01
-"""Fall of the cost (a chi^2) in one iteration that is not worth another."""
+"""Fall of the cost (a chi^2) that is not worth another iteration."""
+_LOST = 1e3
+"""Damping at which small promises mean that the iteration is stuck, not that it is done."""
 
 DEPTH_SIGMA = 6e-6
 """How far from the edge of touch the machine may stand where no moment tells: its last step back [m]."""
@@ -119,20 +121,40 @@ class Estimate:
 
 
 def _forward(
-    x: FloatArray, phi: FloatArray, path: FloatArray
+    x: FloatArray, phi: FloatArray, path: FloatArray, tip: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Moment angle and direction psi along ``path`` for states ``x``; both (p, k). A negative R counts as none."""
     bend = x[:, BEND]
     across = np.where(np.abs(bend) > 1e-6, 1.0 / np.where(np.abs(bend) > 1e-6, bend, 1.0), np.inf)
-    cycle = push_cycle(
-        phi - x[:, NU],
-        path,
-        distance=1.0,
-        friction=np.exp(x[:, LN_TAN_ALPHA]),
-        radius_along=np.maximum(x[:, R_ALONG], 0.0),
-        radius_across=across,
-    )
-    return cycle.moment_angle, phi[:, None] - cycle.delta
+    moment, delta = np.empty_like(path), np.empty_like(path)
+    for tipped in (False, True):
+        rows = np.flatnonzero(tip == tipped)
+        if rows.size == 0:
+            continue
+        eps, friction = phi[rows] - x[rows, NU], np.exp(x[rows, LN_TAN_ALPHA])
+        if tipped:
+            tilt = np.arctan(x[rows, R_ALONG])
+            cycle = push_cycle_tip(
+                eps,
+                path[rows],
+                distance=1.0,
+                friction=friction,
+                radius_along=np.inf,
+                radius_across=across[rows],
+                tilt=tilt,
+            )
+        else:
+            along = np.maximum(x[rows, R_ALONG], 0.0)
+            cycle = push_cycle(
+                eps,
+                path[rows],
+                distance=1.0,
+                friction=friction,
+                radius_along=along,
+                radius_across=across[rows],
+            )
+        moment[rows], delta[rows] = cycle.moment_angle, cycle.delta
+    return moment, phi[:, None] - delta
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -157,6 +179,8 @@ class PushData:
     """(P,) m"""
     tare_sigma: FloatArray
     """(P,) N m"""
+    tip: BoolArray
+    """(P,) whether the push is taken to be one with the tip; its state has tan(tilt) in the place of R/s."""
     contact: IntArray
     """(P,) contact that each push belongs to."""
 
@@ -170,7 +194,9 @@ class PushData:
         """All pushes of ``parts``."""
         if len(parts) == 1:
             return parts[0]
-        return PushData(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(PushData)})
+        return PushData(
+            **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(PushData)}
+        )
 
 
 _VARIED = (NU, LN_TAN_ALPHA, R_ALONG, BEND)
@@ -182,18 +208,21 @@ def _response(data: PushData, x: FloatArray, antenna: Antenna) -> tuple[FloatArr
     nodes = data.path.shape[1]
     distance = np.exp(x[..., LN_S])
     path = np.maximum(data.path[None] + (data.depth[None] / distance)[..., None], 0.0)
-    moment, psi = _forward(x.reshape(-1, PARAMETERS), np.tile(data.phi, variants), path.reshape(-1, nodes))
+    tip = np.tile(data.tip, variants)
+    moment, psi = _forward(
+        x.reshape(-1, PARAMETERS), np.tile(data.phi, variants), path.reshape(-1, nodes), tip
+    )
     keep = np.arange(nodes) != nodes // 2
     scale = antenna.stiffness3 / distance
-    return scale[..., None] * moment.reshape(variants, pushes, nodes)[..., keep], psi.reshape(variants, pushes, nodes)[..., keep]
+    return scale[..., None] * moment.reshape(variants, pushes, nodes)[..., keep], psi.reshape(
+        variants, pushes, nodes
+    )[..., keep]
 
 
-def _linearised(
-    data: PushData, x: FloatArray, antenna: Antenna
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _linearised(data: PushData, x: FloatArray, antenna: Antenna) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Moment and direction psi (P, 2B) of the states, and the force's derivatives (P, 2B, 2, 5)."""
     clipped = x.copy()
-    clipped[:, R_ALONG] = np.maximum(x[:, R_ALONG], 0.0)
+    clipped[:, R_ALONG] = np.where(data.tip, x[:, R_ALONG], np.maximum(x[:, R_ALONG], 0.0))
     stack = np.repeat(clipped[None], len(_VARIED) + 1, axis=0)
     for i, parameter in enumerate(_VARIED):
         stack[i + 1, :, parameter] += _STEP[parameter]
@@ -221,14 +250,17 @@ def _normal_equations(data: PushData, x: FloatArray, antenna: Antenna, error: Mo
     unit = np.stack((np.cos(psi), np.sin(psi)), axis=-1)
     force = moment[..., None] * unit + _held_weight(data, distance, unit, antenna)
     # A negative R (concave along the beam, or the noise of an edge) is continued from R = 0.
-    force += np.minimum(x[:, R_ALONG], 0.0)[:, None, None] * derivative[..., R_ALONG]
+    beyond = np.where(data.tip, 0.0, np.minimum(x[:, R_ALONG], 0.0))
+    force += beyond[:, None, None] * derivative[..., R_ALONG]
     aside = np.stack((-unit[..., 1], unit[..., 0]), axis=-1)
     peak = moment.max(axis=1, keepdims=True)
     used = data.count > 0.0
     noise = antenna.sensor.moment_noise**2 / np.maximum(data.count, 1.0)
     along = noise + (error.moment_bin * peak) ** 2
     across = noise + (error.direction_bin * moment) ** 2
-    weight = np.where(used[..., None], 1.0 / np.stack((along, across), axis=-1), 0.0)  # in the frame (unit, aside)
+    weight = np.where(
+        used[..., None], 1.0 / np.stack((along, across), axis=-1), 0.0
+    )  # in the frame (unit, aside)
 
     def turned(vector: FloatArray) -> FloatArray:
         """(P, 2B, 2, ...) from axes x, z to (unit, aside)."""
@@ -257,7 +289,9 @@ def _normal_equations(data: PushData, x: FloatArray, antenna: Antenna, error: Mo
     weighted = (w * nuisance).transpose(0, 2, 1)
     inner = weighted @ nuisance + np.eye(7) / spread[:, :, None]
     cross = weighted @ columns
-    information = (w * columns).transpose(0, 2, 1) @ columns - cross.transpose(0, 2, 1) @ np.linalg.solve(inner, cross)
+    information = (w * columns).transpose(0, 2, 1) @ columns - cross.transpose(0, 2, 1) @ np.linalg.solve(
+        inner, cross
+    )
     return np.asarray(information)
 
 
@@ -301,6 +335,7 @@ def prepare(bins: Bins, touch: Touch, distance: FloatArray, contact: IntArray, a
         depth=np.maximum(held, 0.0) * per_moment,
         depth_sigma=np.hypot(DEPTH_SIGMA, rest_sigma * per_moment),
         tare_sigma=tare_sigma,
+        tip=np.zeros(contact.size, dtype=np.bool_),
         contact=contact,
     )
 
@@ -341,23 +376,21 @@ def fit(data: PushData, prior: Prior, start: FloatArray, antenna: Antenna, error
         new_cost = total[:, 5, 5] + np.sum(information[active] * away**2, axis=1)
         better = new_cost <= cost[active] * (1.0 + 1e-9) + 1e-9
         good = active[better]
-        gain = cost[good] - new_cost[better]
         x[good], cost[good], chi2[good] = trial[good], new_cost[better], total[better, 5, 5]
         normal[good] = total[better, :5, :5]
         gradient[good] = total[better, :5, 5] + information[good] * away[better]
         damping[good] *= 0.2
         damping[active[~better]] *= 8.0
-        settled = np.zeros(n, dtype=bool)
-        settled[good] = gain < _SMALL_GAIN
         matrix = normal[active] + np.eye(5) * information[active][:, None, :]
-        diagonal = np.einsum("nii->ni", matrix)
-        diagonal = np.maximum(diagonal, 1e-9)
-        step = np.linalg.solve(matrix + np.eye(5) * (damping[active][:, None] * diagonal)[:, None, :], gradient[active][..., None])[..., 0]
+        diagonal = np.maximum(np.einsum("nii->ni", matrix), 1e-9)
+        damped = matrix + np.eye(5) * (damping[active][:, None] * diagonal)[:, None, :]
+        step = np.linalg.solve(damped, gradient[active][..., None])[..., 0]
         step = np.clip(step, -_MAX_STEP, _MAX_STEP)
         trial[active] = np.clip(x[active] + step, _LOWER, _UPPER)
-        small = np.all(np.abs(trial[active] - x[active]) < _SETTLED, axis=1)
-        done = (small & better) | settled[active] | (damping[active] > 1e6)
-        converged[active[done]] = damping[active[done]] <= 1e6
+        # What the quadratic model promises of this step; a promise this small is not worth keeping.
+        promise = np.sum(gradient[active] * (trial[active] - x[active]), axis=1)
+        done = promise < _SMALL_GAIN
+        converged[active[done]] = damping[active[done]] < _LOST
         active = active[~done]
         if active.size == 0:
             break

@@ -74,6 +74,7 @@ def choose(contact: TrueContact, eps: FloatArray, peak: FloatArray, tolerance: f
     q_inverse = np.minimum(depth * bend, 4.0)
     reach = np.tan(np.minimum(np.abs(eps), 1.4)) ** 2
     exact = 0.06 * u * u + 0.02 * u * contact.friction + np.where(outside, 0.012 * q_inverse**2 * reach, 0.0)
+    exact = np.where(contact.kind == Kind.TIP, 0.3 * (peak * np.tan(contact.tilt)) ** 2, exact)
     rung = np.where(edge <= tolerance, Rung.EDGE, Rung.REDUCED)
     rung = np.where((rung == Rung.REDUCED) & (exact > tolerance), Rung.ELASTICA, rung)
     return np.where(slide > contact.extent, Rung.PROFILE, rung).astype(np.int8)
@@ -127,9 +128,15 @@ class Ladder:
         self, level: Rung, contact: TrueContact, eps: FloatArray, path: FloatArray, rows: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         model = elastica if level == Rung.ELASTICA else reduced
-        common = {"distance": contact.distance, "friction": contact.friction, "radius_along": contact.radius_along}
+        common = {
+            "distance": contact.distance,
+            "friction": contact.friction,
+            "radius_along": contact.radius_along,
+        }
         if contact.kind[0] == Kind.TIP:
-            cycle = model.push_cycle_tip(eps, path, **common, radius_across=contact.radius_across, tilt=contact.tilt)
+            cycle = model.push_cycle_tip(
+                eps, path, **common, radius_across=contact.radius_across, tilt=contact.tilt
+            )
         elif level == Rung.EDGE:
             return self._edge(contact, eps, path)
         elif level == Rung.PROFILE:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contour.antenna import Antenna
-from contour.contacts import Contacts
+from contour.contacts import Contacts, Kind
 from contour.fit import BEND, LN_S, LN_TAN_ALPHA, NU, PARAMETERS, R_ALONG, Prior
 from contour.frames import wrap_angle
 from contour.sensing import Touch
@@ -93,9 +93,11 @@ class Memory:
         self.distance[w] = contacts.distance[good]
         self.outward[w] = contacts.outward[good]
         self.outward_sigma[w] = contacts.sigma_normal[good]
-        self.along[w] = np.maximum(contacts.radius_along[good], 0.0)
-        spread = sigma[good, R_ALONG] * contacts.distance[good]
-        self.along_sigma[w] = np.minimum(np.hypot(spread, 0.3 * self.along[w] + 0.004), RADIUS_ALONG[1])
+        side = good & (contacts.kind != Kind.TIP)  # a tip says nothing of R
+        v = which[side]
+        self.along[v] = np.maximum(contacts.radius_along[side], 0.0)
+        spread = sigma[side, R_ALONG] * contacts.distance[side]
+        self.along_sigma[v] = np.minimum(np.hypot(spread, 0.3 * self.along[v] + 0.004), RADIUS_ALONG[1])
         self.touches[w, 1] = self.touches[w, 0]
         self.touches[w, 0] = contacts.touch[good]
         self.known[w] = np.minimum(self.known[w] + 1, 2)
@@ -126,10 +128,16 @@ class Memory:
         bend = np.where(two, bend, 2.0 * wrap_angle(side - self.outward[w]))
         share = np.where(two, length / (length + length_before), 0.5)
         turn = bend * share
-        sigma_two = np.hypot(2.6 * position / np.minimum(length, length_before), 0.35 * np.abs(turn) + np.deg2rad(0.15))
-        sigma_one = np.hypot(np.hypot(2.9 * position / length, self.outward_sigma[w]), 0.35 * np.abs(turn) + np.deg2rad(0.3))
+        sigma_two = np.hypot(
+            2.6 * position / np.minimum(length, length_before), 0.35 * np.abs(turn) + np.deg2rad(0.15)
+        )
+        sigma_one = np.hypot(
+            np.hypot(2.9 * position / length, self.outward_sigma[w]), 0.35 * np.abs(turn) + np.deg2rad(0.3)
+        )
         usable = (two | one) & (length > 20.0 * position) & (length < 0.03)
-        corner = usable & ((np.abs(bend) > SHARP_TURN) | (np.abs(wrap_angle(side + turn - touch.expected)) > 2 * SHARP_TURN))
+        corner = usable & (
+            (np.abs(bend) > SHARP_TURN) | (np.abs(wrap_angle(side + turn - touch.expected)) > 2 * SHARP_TURN)
+        )
         trusted = usable & ~corner
         span = np.where(two, 0.5 * (length + length_before), length)
         # A profile is convex where the normal turns with the sense of travel.
@@ -137,7 +145,11 @@ class Memory:
         curvature = sense * bend / span
         return Tangent(
             outward=np.where(trusted, side + turn, touch.expected),
-            sigma=np.where(trusted, np.where(two, sigma_two, sigma_one), np.where(touch.fresh, touch.expected_sigma, np.deg2rad(30.0))),
+            sigma=np.where(
+                trusted,
+                np.where(two, sigma_two, sigma_one),
+                np.where(touch.fresh, touch.expected_sigma, np.deg2rad(30.0)),
+            ),
             curvature=np.where(trusted, curvature, 0.0),
             curvature_sigma=np.where(trusted, 0.7 * np.abs(curvature) + 8.0, CURVATURE_SIGMA),
             corner=corner,

@@ -44,6 +44,8 @@ CREASE_PITCH = 1e-3
 """Distance of the points that creases are sampled at to find the nearest [m]."""
 PROFILE_SAMPLES = 41
 """Points that a silhouette is sampled at; odd, so that one is the touch."""
+STEEPEST = 1.35
+"""Tilt of a tipped surface beyond which the push is answered as if it were this [rad]: the tip all but runs into it."""
 SMALLEST_RADIUS = 1e-6
 """Radii of curvature below this are edges [m]."""
 
@@ -73,6 +75,11 @@ def _crease_tree(environment: MeshEnvironment) -> cKDTree | None:
     first = np.cumsum(count) - count
     share = (np.arange(edge.size) - first[edge]) / np.maximum(count[edge] - 1, 1)
     return cKDTree(ends[edge, 0] + share[:, None] * (ends[edge, 1] - ends[edge, 0]))
+
+
+def _tilt(normal: FloatArray, direction: FloatArray) -> FloatArray:
+    """Angle of the normals out of Pi, positive towards the base; no steeper than the mechanics of a tip goes."""
+    return np.clip(np.arcsin(np.clip(-np.sum(normal * direction, axis=1), -1.0, 1.0)), -STEEPEST, STEEPEST)
 
 
 class MeshInstrument:
@@ -252,9 +259,7 @@ class MeshInstrument:
         tip = first.kind[index] == TouchKind.TIP
         found.distance[rows] = np.where(tip, beam.length, np.maximum(first.distance[index], SHORTEST))
         found.outward[rows] = plane_angle(normal_here, frame)
-        found.tilt[rows] = np.where(
-            tip, np.arcsin(np.clip(-np.sum(normal_here * frame[:, :, 1], axis=1), -1, 1)), 0.0
-        )
+        found.tilt[rows] = np.where(tip, _tilt(normal_here, frame[:, :, 1]), 0.0)
         kinds = np.where(
             tip,
             np.int8(Kind.TIP),

@@ -45,6 +45,14 @@ FELT = 8.0
 """Largest moment of a push, in standard deviations of a sample, below which it felt nothing."""
 SURE = np.deg2rad(12.0)
 """Sigma of the expected normal below which one start of the fit is enough."""
+NEAR_TIP = 0.05
+"""Share of L within which a contact may be one of the tip."""
+TIP_SIGMA = 0.15e-3
+"""What the tip's distance may differ from L by: its end is round [m]."""
+TIP_TILT = 0.6
+"""Sigma of the tangent of a tipped surface's tilt."""
+TIP_MARGIN = 4.0
+"""How much worse (a chi^2) the tip may explain the readings and still be preferred: it has fewer freedoms."""
 EDGE_RADIUS = 2.5e-3
 """Profiles sharper than this are called edges [m]."""
 
@@ -97,6 +105,8 @@ class _Work:
     mean: FloatArray
     covariance: FloatArray
     misfit: FloatArray
+    cost: FloatArray
+    tip: BoolArray
     action: NDArray[np.int8]
     phi: FloatArray
     angle: FloatArray
@@ -143,6 +153,8 @@ class ModelStrategy:
             mean=prior.mean.copy(),
             covariance=np.zeros((n, PARAMETERS, PARAMETERS)),
             misfit=np.zeros(n),
+            cost=np.full(n, np.inf),
+            tip=np.zeros(n, dtype=bool),
             action=np.full(n, Action.PUSH, dtype=np.int8),
             phi=phi,
             angle=self._angle(prior.mean, prior.sigma, phi, careful),
@@ -204,8 +216,10 @@ class ModelStrategy:
         work = self._here()
         base = work.mean[rows].copy()
         size = np.linalg.norm(bins.force, axis=2)
-        peak = np.maximum(size[:, : BINS].max(axis=1), 1e-9)
-        distance = np.clip(self._antenna.stiffness3 * bins.theta[:, BINS - 1] / peak, 5e-3, 2.0 * self._antenna.beam.length)
+        peak = np.maximum(size[:, :BINS].max(axis=1), 1e-9)
+        distance = np.clip(
+            self._antenna.stiffness3 * bins.theta[:, BINS - 1] / peak, 5e-3, 2.0 * self._antenna.beam.length
+        )
         rescale = distance / np.exp(base[:, LN_S])
         base[:, LN_S] = np.log(distance)
         base[:, R_ALONG] /= rescale
@@ -219,7 +233,9 @@ class ModelStrategy:
         sticks, slid, far = base.copy(), base.copy(), base.copy()
         sticks[:, NU] = bins.phi - 0.3 * tilt
         slid[:, NU] = out + 0.5 * swing + np.pi
-        slid[:, LN_TAN_ALPHA] = np.log(np.tan(np.clip(0.5 * np.abs(swing), np.deg2rad(2.0), np.deg2rad(30.0))))
+        slid[:, LN_TAN_ALPHA] = np.log(
+            np.tan(np.clip(0.5 * np.abs(swing), np.deg2rad(2.0), np.deg2rad(30.0)))
+        )
         alpha = np.arctan(np.exp(base[:, LN_TAN_ALPHA]))
         far[:, NU] = bins.phi - tilt - np.sign(tilt) * alpha
         return [base, sticks, slid, far]
@@ -228,20 +244,62 @@ class ModelStrategy:
         if rows.size == 0:
             return
         work = self._here()
-        starts = self._starts(rows, bins.take(np.flatnonzero(felt))) if work.pushes[rows].max() == 1 else [work.mean[rows]]
+        starts = (
+            self._starts(rows, bins.take(np.flatnonzero(felt)))
+            if work.pushes[rows].max() == 1
+            else [work.mean[rows]]
+        )
         self._fit(rows, starts)
+        self._try_tip(rows)
         contradicts = self._contradicts(rows) & ~work.corner[rows]
         again = rows[contradicts]
         if again.size:
             work.corner[again] = True
             self._loosen(again)
             self._fit(again, [work.mean[again], *[start[contradicts] for start in starts[1:]]])
+            self._try_tip(again)
+
+    def _try_tip(self, rows: IntArray) -> None:
+        """Fit contacts near the beam's end as touches of the tip too, and keep what explains the readings better."""
+        work = self._here()
+        length = self._antenna.beam.length
+        near = np.abs(np.exp(work.mean[rows, LN_S]) / length - 1.0) < NEAR_TIP
+        rows = rows[near & ~work.tip[rows]]
+        if rows.size == 0:
+            return
+        kept = (
+            work.mean[rows].copy(),
+            work.covariance[rows].copy(),
+            work.misfit[rows].copy(),
+            work.cost[rows].copy(),
+        )
+        side = (work.prior.mean[rows].copy(), work.prior.sigma[rows].copy())
+        scale = length / np.exp(work.prior.mean[rows, LN_S])
+        work.prior.mean[rows, LN_S], work.prior.sigma[rows, LN_S] = np.log(length), TIP_SIGMA / length
+        work.prior.mean[rows, R_ALONG], work.prior.sigma[rows, R_ALONG] = 0.0, TIP_TILT
+        work.prior.mean[rows, BEND] *= scale
+        work.prior.sigma[rows, BEND] *= scale
+        start = work.mean[rows].copy()
+        start[:, LN_S], start[:, R_ALONG] = np.log(length), 0.0
+        work.tip[rows] = True
+        self._fit(rows, [start])
+        # A side contact has a distance and a radius more to please the readings with.
+        worse = work.cost[rows] > kept[3] + TIP_MARGIN
+        back = rows[worse]
+        work.tip[back] = False
+        work.mean[back], work.covariance[back] = kept[0][worse], kept[1][worse]
+        work.misfit[back], work.cost[back] = kept[2][worse], kept[3][worse]
+        work.prior.mean[back], work.prior.sigma[back] = side[0][worse], side[1][worse]
 
     def _contradicts(self, rows: IntArray) -> BoolArray:
         """Whether readings and tangent exclude each other, or readings and model."""
         work = self._here()
-        pull = np.abs(wrap_angle(work.mean[rows, NU] - work.prior.mean[rows, NU])) / work.prior.sigma[rows, NU]
-        return (work.misfit[rows] > self._settings.misfit) | ((pull > 2.5) & (work.prior.sigma[rows, NU] < SURE))
+        pull = (
+            np.abs(wrap_angle(work.mean[rows, NU] - work.prior.mean[rows, NU])) / work.prior.sigma[rows, NU]
+        )
+        return (work.misfit[rows] > self._settings.misfit) | (
+            (pull > 2.5) & (work.prior.sigma[rows, NU] < SURE)
+        )
 
     def _loosen(self, rows: IntArray) -> None:
         """Forget the tangent and the curvature that the contour led to expect."""
@@ -250,7 +308,8 @@ class ModelStrategy:
         distance = np.exp(work.mean[rows, LN_S])
         work.prior.mean[rows, BEND] = 0.0
         work.prior.sigma[rows, BEND] = 3.0 * CURVATURE_SIGMA * distance
-        work.prior.sigma[rows, R_ALONG] = np.maximum(work.prior.sigma[rows, R_ALONG], RADIUS_ALONG[1] / distance)
+        side = np.where(work.tip[rows], TIP_TILT, RADIUS_ALONG[1] / distance)
+        work.prior.sigma[rows, R_ALONG] = np.maximum(work.prior.sigma[rows, R_ALONG], side)
 
     def _fit(self, rows: IntArray, starts: list[FloatArray]) -> None:
         """Fit the contacts ``rows`` to all their pushes, from each start, and keep the best."""
@@ -262,8 +321,9 @@ class ModelStrategy:
         every = np.concatenate([np.arange(rows.size), *[doubtful for _ in starts[1:]]])
         start = np.concatenate([starts[0], *[start[doubtful] for start in starts[1:]]])
         pushes, contact = _pushes_of(data.contact, rows[every])
+        part = data.take(pushes, contact)
         found = fit(
-            data.take(pushes, contact),
+            replace(part, tip=work.tip[rows[every]][contact]),
             Prior(mean=prior.mean[every], sigma=prior.sigma[every]),
             start,
             self._antenna,
@@ -274,26 +334,37 @@ class ModelStrategy:
         work.mean[rows] = found.mean[best]
         work.covariance[rows] = found.covariance[best]
         work.misfit[rows] = found.misfit[best]
+        work.cost[rows] = found.cost[best]
 
     def _sigmas(self, rows: IntArray) -> FloatArray:
         """(n, 5) standard deviations, the model's error and the misfit in them."""
         work = self._here()
         variance = np.einsum("nii->ni", work.covariance[rows]).copy()
         off = np.maximum(
-            np.abs(wrap_angle(work.phi[rows] - work.mean[rows, NU])) - np.arctan(np.exp(work.mean[rows, LN_TAN_ALPHA])), 0.0
+            np.abs(wrap_angle(work.phi[rows] - work.mean[rows, NU]))
+            - np.arctan(np.exp(work.mean[rows, LN_TAN_ALPHA])),
+            0.0,
         )
-        variance[:, LN_S] += self._error.gain**2 + (self._error.gain_outside * np.tan(np.minimum(off, 1.2)) ** 2) ** 2
+        variance[:, LN_S] += (
+            self._error.gain**2 + (self._error.gain_outside * np.tan(np.minimum(off, 1.2)) ** 2) ** 2
+        )
         return np.sqrt(np.maximum(variance, 0.0) * np.maximum(work.misfit[rows], 1.0)[:, None])
 
     def _merit(self, sigma_s: FloatArray, sigma_normal: FloatArray) -> FloatArray:
-        return np.maximum(sigma_s / self._settings.tolerance_distance, sigma_normal / self._settings.tolerance_normal)
+        return np.maximum(
+            sigma_s / self._settings.tolerance_distance, sigma_normal / self._settings.tolerance_normal
+        )
 
     def _decide(self, rows: IntArray) -> None:
         """Stop, or plan the push that is expected to help most."""
         work, s = self._here(), self._settings
         sigma = self._sigmas(rows)
         slope = np.sin(2.0 * np.arctan(np.exp(work.mean[rows, LN_TAN_ALPHA]))) / 2.0
-        learning = work.touch.fresh[rows] & (sigma[:, LN_TAN_ALPHA] * slope > s.tolerance_friction) & (work.pushes[rows] < 2)
+        learning = (
+            work.touch.fresh[rows]
+            & (sigma[:, LN_TAN_ALPHA] * slope > s.tolerance_friction)
+            & (work.pushes[rows] < 2)
+        )
         short = (self._merit(sigma[:, LN_S], sigma[:, NU]) > 1.0) | (work.misfit[rows] > s.misfit) | learning
         more = (short | work.lost[rows]) & (work.pushes[rows] < s.most_pushes)
         work.action[rows] = np.where(more, np.int8(Action.REAPPROACH), np.int8(Action.DONE))
@@ -306,9 +377,13 @@ class ModelStrategy:
         work = self._here()
         mean = work.mean[rows]
         alpha = np.arctan(np.exp(mean[:, LN_TAN_ALPHA]))
-        wide = alpha + np.minimum(sigma[:, LN_TAN_ALPHA] * np.sin(2.0 * alpha) / 2.0, np.deg2rad(8.0)) + np.deg2rad(3.0)
+        wide = (
+            alpha
+            + np.minimum(sigma[:, LN_TAN_ALPHA] * np.sin(2.0 * alpha) / 2.0, np.deg2rad(8.0))
+            + np.deg2rad(3.0)
+        )
         offsets = np.stack((wide, -wide, 0.6 * alpha, -0.6 * alpha), axis=1)
-        template = self._last_push(rows)
+        template = replace(self._last_push(rows), tip=work.tip[rows])
         information = np.linalg.inv(work.covariance[rows] + 1e-12 * np.eye(PARAMETERS))
         merits, phis, angles = [], [], []
         for column in range(offsets.shape[1]):
@@ -316,7 +391,9 @@ class ModelStrategy:
             angle = self._angle(mean, sigma, phi, work.corner[rows] | work.aborted[rows])
             path = template.path / template.path.max(axis=1, keepdims=True) * angle[:, None]
             data = replace(template, phi=phi, path=path)
-            after = np.einsum("nii->ni", expected_covariance(data, mean, information, self._antenna, self._error))
+            after = np.einsum(
+                "nii->ni", expected_covariance(data, mean, information, self._antenna, self._error)
+            )
             merits.append(self._merit(np.sqrt(np.abs(after[:, LN_S])), np.sqrt(np.abs(after[:, NU]))))
             phis.append(phi)
             angles.append(angle)
@@ -347,16 +424,19 @@ class ModelStrategy:
         distance = np.exp(work.mean[:, LN_S])
         outward = wrap_angle(work.mean[:, NU] + np.pi)
         flags = np.zeros(n, dtype=np.int64)
-        vague = (sigma[:, LN_S] > s.flag * s.tolerance_distance) | (sigma[:, NU] > s.flag * s.tolerance_normal)
+        vague = (sigma[:, LN_S] > s.flag * s.tolerance_distance) | (
+            sigma[:, NU] > s.flag * s.tolerance_normal
+        )
         flags[vague | (work.misfit > s.misfit)] |= Flag.UNRESOLVED
         flags[work.lost] |= Flag.LOST
         flags[work.aborted & (flags > 0)] |= Flag.SLIP_OFF
         flags[work.limited & (flags > 0)] |= Flag.OVER_MOMENT
         axis = touch_position(touch, distance, self._antenna)
         radius_across = distance / np.where(np.abs(work.mean[:, BEND]) > 1e-6, work.mean[:, BEND], 1e-6)
-        kind = np.where((radius_across > 0.0) & (radius_across < EDGE_RADIUS), np.int8(Kind.EDGE), np.int8(Kind.SIDE))
-        near_tip = np.abs(distance - self._antenna.beam.length) < 3.0 * sigma[:, LN_S] * distance
-        kind = np.where(near_tip, np.int8(Kind.TIP), kind)
+        kind = np.where(
+            (radius_across > 0.0) & (radius_across < EDGE_RADIUS), np.int8(Kind.EDGE), np.int8(Kind.SIDE)
+        )
+        kind = np.where(work.tip, np.int8(Kind.TIP), kind)
         point, normal = locate(touch, axis, distance, outward, self._antenna, self._mount)
         contacts = Contacts(
             which=touch.which,
@@ -368,8 +448,10 @@ class ModelStrategy:
             outward=outward,
             sigma_normal=sigma[:, NU],
             friction_angle=np.arctan(np.exp(work.mean[:, LN_TAN_ALPHA])),
-            sigma_friction=sigma[:, LN_TAN_ALPHA] * np.sin(2.0 * np.arctan(np.exp(work.mean[:, LN_TAN_ALPHA]))) / 2.0,
-            radius_along=work.mean[:, R_ALONG] * distance,
+            sigma_friction=sigma[:, LN_TAN_ALPHA]
+            * np.sin(2.0 * np.arctan(np.exp(work.mean[:, LN_TAN_ALPHA])))
+            / 2.0,
+            radius_along=np.where(work.tip, 0.0, work.mean[:, R_ALONG] * distance),
             curvature_across=work.mean[:, BEND] / distance,
             kind=kind,
             pushes=work.pushes,

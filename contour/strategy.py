@@ -11,29 +11,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from contour.antenna import Antenna
 from contour.bisection import BisectionSettings, BisectionStrategy
 from contour.errors import UsageError
 from contour.frames import Mount
 from contour.model import ModelSettings, ModelStrategy
-from contour.one_push import OnePushStrategy
+from contour.one_push import OnePushSettings, OnePushStrategy
 from contour.sensing import Action, Ask, Strategy, Touch
 
 __all__ = [
     "STRATEGIES",
     "Action",
     "Ask",
+    "BisectionSettings",
+    "BisectionStrategy",
     "ModelSettings",
     "ModelStrategy",
+    "OnePushSettings",
+    "OnePushStrategy",
     "Strategy",
     "Touch",
     "make_strategy",
 ]
-
-LIMITED_STEP = float(np.deg2rad(40.0))
-"""Turn of ``bisection-limited``: twice the largest friction angle expected [rad]."""
 
 _MAKERS: dict[str, Callable[[int, Antenna, Mount], Strategy]] = {
     "model": ModelStrategy,
@@ -42,7 +41,7 @@ _MAKERS: dict[str, Callable[[int, Antenna, Mount], Strategy]] = {
     ),
     "bisection": BisectionStrategy,
     "bisection-limited": lambda n, antenna, mount: BisectionStrategy(
-        n, antenna, mount, BisectionSettings(largest_step=LIMITED_STEP, name="bisection-limited")
+        n, antenna, mount, BisectionSettings(largest_step=0.7, name="bisection-limited")
     ),
     "one-push": OnePushStrategy,
 }
