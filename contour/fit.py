@@ -284,15 +284,15 @@ def _normal_equations(data: PushData, x: FloatArray, antenna: Antenna, error: Mo
     spread[:, 5:7] = error.direction_bias**2
     columns = np.concatenate((turned(derivative), turned(data.force - force)[..., None]), axis=3)
     columns = columns.reshape(pushes, 2 * bins, PARAMETERS + 1)
-    nuisance = nuisance.reshape(pushes, 2 * bins, 7)
+    removed = nuisance.reshape(pushes, 2 * bins, 7)
     w = weight.reshape(pushes, 2 * bins, 1)
-    weighted = (w * nuisance).transpose(0, 2, 1)
-    inner = weighted @ nuisance + np.eye(7) / spread[:, :, None]
+    weighted = (w * removed).transpose(0, 2, 1)
+    inner = weighted @ removed + np.eye(7) / spread[:, :, None]
     cross = weighted @ columns
     information = (w * columns).transpose(0, 2, 1) @ columns - cross.transpose(0, 2, 1) @ np.linalg.solve(
         inner, cross
     )
-    return np.asarray(information)
+    return np.asarray(information, dtype=np.float64)
 
 
 def _gather(values: FloatArray, contact: IntArray, n: int) -> FloatArray:
@@ -395,7 +395,7 @@ def fit(data: PushData, prior: Prior, start: FloatArray, antenna: Antenna, error
         if active.size == 0:
             break
     matrix = normal + np.eye(5) * information[:, None, :]
-    covariance = np.linalg.inv(matrix + 1e-12 * np.eye(5))
+    covariance = np.asarray(np.linalg.inv(matrix + 1e-12 * np.eye(5)), dtype=np.float64)
     return Estimate(mean=x, covariance=covariance, chi2=chi2, dof=dof, cost=cost, converged=converged)
 
 
@@ -412,4 +412,5 @@ def expected_covariance(
         error: of the forward model.
     """
     system = _normal_equations(data, x, antenna, error)
-    return np.linalg.inv(information + system[:, :5, :5] + 1e-12 * np.eye(5))
+    inverse = np.linalg.inv(information + system[:, :5, :5] + 1e-12 * np.eye(5))
+    return np.asarray(inverse, dtype=np.float64)

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import IntEnum
 from itertools import product
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +57,7 @@ def slide_estimate(contact: TrueContact, eps: FloatArray, peak: FloatArray) -> F
 
 
 def choose(contact: TrueContact, eps: FloatArray, peak: FloatArray, tolerance: float) -> NDArray[np.int8]:
-    """Cheapest rung of each push whose estimated error, of the moment or of the direction [rad], is under ``tolerance``.
+    """Cheapest rung of each push with an estimated error, of moment or direction [rad], under ``tolerance``.
 
     The estimates bound what was measured against the exact rung (tests/test_ladder.py): the edge forms leave out 3/8 u,
     the turn of the normal by the slide and friction's memory; the reduced rod leaves out second orders of u and of 1/q.
@@ -151,7 +150,8 @@ class Ladder:
     @staticmethod
     def _edge(contact: TrueContact, eps: FloatArray, path: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The paper's closed forms: slip law and finite angle of a flat edge, the same on both strokes but for the sign
-        of the friction along the beam."""
+        of the friction along the beam.
+        """
         theta = np.maximum(path, 1e-6)
         slip = slip_law(eps[:, None], theta, contact.friction[:, None])
         back = np.arange(path.shape[1]) > np.argmax(path, axis=1)[:, None]

@@ -1,4 +1,4 @@
-"""The strategy ``model``: both strokes of every push, one joint estimate a contact, as few pushes as the tolerance allows.
+"""The strategy ``model``: both strokes of every push, one joint estimate a contact, no push more than it needs.
 
 Each contact is first pushed along the last inner normal of its contour. The bins of all its pushes are fitted together
 (:mod:`contour.fit`) with what the contour knows: the tangent through the last touches, the friction angle learned so
@@ -167,7 +167,8 @@ class ModelStrategy:
 
     def _angle(self, mean: FloatArray, sigma: FloatArray, phi: FloatArray, careful: BoolArray) -> FloatArray:
         """Angle of a push: in proportion to s where short, under the moment limit, and where the push may lie outside
-        the friction cone not deeper than the profile's radius, q = R_l/(s theta) > 1.3."""
+        the friction cone not deeper than the profile's radius, q = R_l/(s theta) > 1.3.
+        """
         s = self._settings
         distance = np.exp(mean[:, LN_S])
         angle = s.angle * np.minimum(distance / s.angle_distance, 1.0)
@@ -297,9 +298,8 @@ class ModelStrategy:
         pull = (
             np.abs(wrap_angle(work.mean[rows, NU] - work.prior.mean[rows, NU])) / work.prior.sigma[rows, NU]
         )
-        return (work.misfit[rows] > self._settings.misfit) | (
-            (pull > 2.5) & (work.prior.sigma[rows, NU] < SURE)
-        )
+        excluded = (pull > 2.5) & (work.prior.sigma[rows, NU] < SURE)
+        return np.asarray((work.misfit[rows] > self._settings.misfit) | excluded)
 
     def _loosen(self, rows: IntArray) -> None:
         """Forget the tangent and the curvature that the contour led to expect."""
@@ -348,7 +348,7 @@ class ModelStrategy:
         variance[:, LN_S] += (
             self._error.gain**2 + (self._error.gain_outside * np.tan(np.minimum(off, 1.2)) ** 2) ** 2
         )
-        return np.sqrt(np.maximum(variance, 0.0) * np.maximum(work.misfit[rows], 1.0)[:, None])
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0) * np.maximum(work.misfit[rows], 1.0)[:, None]))
 
     def _merit(self, sigma_s: FloatArray, sigma_normal: FloatArray) -> FloatArray:
         return np.maximum(
@@ -384,7 +384,8 @@ class ModelStrategy:
         )
         offsets = np.stack((wide, -wide, 0.6 * alpha, -0.6 * alpha), axis=1)
         template = replace(self._last_push(rows), tip=work.tip[rows])
-        information = np.linalg.inv(work.covariance[rows] + 1e-12 * np.eye(PARAMETERS))
+        known = np.linalg.inv(work.covariance[rows] + 1e-12 * np.eye(PARAMETERS))
+        information = np.asarray(known, dtype=np.float64)
         merits, phis, angles = [], [], []
         for column in range(offsets.shape[1]):
             phi = mean[:, NU] + offsets[:, column]
@@ -397,7 +398,7 @@ class ModelStrategy:
             merits.append(self._merit(np.sqrt(np.abs(after[:, LN_S])), np.sqrt(np.abs(after[:, NU]))))
             phis.append(phi)
             angles.append(angle)
-        # A push of the kind already made teaches little about what the model itself gets wrong: the other side wins ties.
+        # A push of the kind already made teaches little about the model's own error: the other side wins ties.
         side = np.sign(wrap_angle(work.phi[rows] - mean[:, NU]))
         merit = np.stack(merits, axis=1) * np.where(np.sign(offsets) == side[:, None], 1.1, 1.0)
         best = np.argmin(merit, axis=1)
