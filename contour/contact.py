@@ -1,8 +1,9 @@
 """Mechanics of one push, forward and inverse, both strokes, in closed form; vectorised over pushes.
 
-The forward model is the reduced rod (contour.slip); the paper's laws (contour.laws) are offered here beside it.
-Signs: eps = phi - nu- is the pushing direction off the inner normal, delta = phi - psi the angle from the force on
-the beam to the push; on the way out delta - pi has the sign of eps. Theory: docs/derivations.md, section Mechanics.
+The forward model is the reduced rod (contour.slip); the paper's laws (contour.laws) are offered here beside
+it. Signs: eps = phi - nu- is the pushing direction off the inner normal, delta = phi - psi the angle from the
+force on the beam to the push; on the way out delta - pi has the sign of eps. Theory: docs/derivations.md,
+section Mechanics.
 """
 
 from __future__ import annotations
@@ -157,10 +158,11 @@ def push_cycle_profile(
         distance: s [m], (...).
         friction: mu, (...).
         radius_along: R [m], as for :func:`push_response`, (...).
-        profile: (offsets, heights) [m], each (m,) or (..., m): heights above the tangent at touch along the outer
-            normal, at rising offsets along that tangent, positive a quarter turn past the outer normal in the sense
-            of the sensing plane's angles (with the beam along d and the outer normal n, along n x d). Below zero on
-            a convex body; not a number where the body has ended. A contact that leaves the samples has slipped off.
+        profile: (offsets, heights) [m], each (m,) or (..., m): heights above the tangent at touch along the
+            outer normal, at rising offsets along that tangent, positive a quarter turn past the outer normal
+            in the sense of the sensing plane's angles (with the beam along d and the outer normal n, along n
+            x d). Below zero on a convex body; not a number where the body has ended. A contact that leaves
+            the samples has slipped off.
     """
     asked = request(eps, thetas, distance, friction, radius_along, np.inf)
     return _answer(asked, sampled(*profile, asked.distance))
@@ -178,15 +180,16 @@ def push_cycle_tip(
 ) -> CycleResponse:
     """What pushes with the tip are answered with, to first order in theta tan(tilt).
 
-    The tip is drawn in by r^2/10 and so climbs or sinks on its tilted surface, whose force is tilted too; across the
-    beam it slides as a side contact with the friction mu/cos(tilt).
+    The tip is drawn in by r^2/10 and so climbs or sinks on its tilted surface, whose force is tilted too;
+    across the beam it slides as a side contact with the friction mu/cos(tilt).
 
     Args:
         eps: pushing direction off the inner normal's part in the sensing plane [rad], (...).
         thetas: angles of the base from touch, in their order [rad], (..., k).
         distance: L [m], centre of rotation to tip, (...).
         friction: mu, (...).
-        radius_along: radius of the surface in the plane of the beam and the normal [m]; it matters in the next order.
+        radius_along: radius of the surface in the plane of the beam and the normal [m]; it matters in the
+            next order.
         radius_across: radius of the surface across it [m], inf flat, below 0 concave, (...).
         tilt: angle chi of the outer normal out of the sensing plane, positive towards the base [rad], (...).
     """

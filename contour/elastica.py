@@ -1,8 +1,8 @@
 """The geometrically exact rung of the forward model, for reference and for the few contacts that need it.
 
-Inextensible, isotropic, three-dimensional rod on a doubly curved body, Coulomb friction with sticking, quasi-static
-and incremental, both strokes; the mechanics are in contour.rod and contour.planar_elastica. Same signatures, units
-and signs as contour.contact; the answers also say where the solution did not converge.
+Inextensible, isotropic, three-dimensional rod on a doubly curved body, Coulomb friction with sticking,
+quasi-static and incremental, both strokes; the mechanics are in contour.rod and contour.planar_elastica. Same
+signatures, units and signs as contour.contact; the answers also say where the solution did not converge.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ class RodPushResponse(PushResponse):
     """A push response that says whether it is one."""
 
     converged: BoolArray
-    """All equations hold; False where the iteration gave up, and the fields are then those of the last contact."""
+    """All equations hold; False where the iteration gave up, and the fields are then those of the last
+    contact."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,7 +58,8 @@ class RodCycleResponse(CycleResponse):
     """A cycle response that says how far it is one."""
 
     converged: BoolArray
-    """All equations hold up to here; False where the iteration gave up, fields then those of the last contact."""
+    """All equations hold up to here; False where the iteration gave up, fields then those of the last
+    contact."""
 
 
 def push_response(
@@ -126,10 +128,11 @@ def push_cycle_profile(
         distance: s [m], (...).
         friction: mu, (...).
         radius_along: R [m], as for :func:`push_response`, (...).
-        profile: (offsets, heights) [m], each (m,) or (..., m): heights above the tangent at touch along the outer
-            normal, at rising offsets along that tangent, positive a quarter turn past the outer normal in the sense
-            of the sensing plane's angles (with the beam along d and the outer normal n, along n x d). Below zero on
-            a convex body; not a number where the body has ended. A contact that leaves the samples has slipped off.
+        profile: (offsets, heights) [m], each (m,) or (..., m): heights above the tangent at touch along the
+            outer normal, at rising offsets along that tangent, positive a quarter turn past the outer normal
+            in the sense of the sensing plane's angles (with the beam along d and the outer normal n, along n
+            x d). Below zero on a convex body; not a number where the body has ended. A contact that leaves
+            the samples has slipped off.
     """
     asked = request(eps, thetas, distance, friction, radius_along, np.inf, least=LEAST_ANGLE)
     return _answer(asked, sampled(*profile, asked.distance))
@@ -145,7 +148,8 @@ def push_cycle_tip(
     radius_across: ArrayLike,
     tilt: ArrayLike,
 ) -> RodCycleResponse:
-    """What pushes with the tip are answered with: the rod is bent all along, and its end slides on the surface.
+    """What pushes with the tip are answered with: the rod is bent all along, and its end slides on the
+    surface.
 
     Args:
         eps: pushing direction off the inner normal's part in the sensing plane [rad], (...).

@@ -1,7 +1,7 @@
 """Closed forms: the laws of Kaneko1998 with their slips mended, and the one-push rule of Solomon2008.
 
-Each takes and gives arrays that broadcast, in SI units; derivations and corrections are in docs/derivations.md.
-Bending stiffness means EI [N m^2]; angles are in rad.
+Each takes and gives arrays that broadcast, in SI units; derivations and corrections are in
+docs/derivations.md. Bending stiffness means EI [N m^2]; angles are in rad.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ FloatArray = NDArray[np.float64]
 SLIP_RATES = 1.0 / 5.0
 """k of (47) in Kaneko1998: the ratio of the rates of lateral and longitudinal slip, as the paper takes it."""
 SLIP_TOTALS = 1.0 / 10.0
-"""k with which (48) takes the ratio of the totals instead: half, and right inside the cone, where the contact creeps."""
+"""k with which (48) takes the ratio of the totals instead: half, and right inside the cone, where the contact
+creeps."""
 _HALVINGS = 60
 """Halvings of the friction cone in (48): a double's precision."""
 _DISTANCE_STEPS = 50
@@ -64,8 +65,8 @@ def force_direction(moment_x: ArrayLike, moment_z: ArrayLike) -> FloatArray:
 def compliance(distance: ArrayLike, *, bending_stiffness: ArrayLike, adaptor: ArrayLike = 0.0) -> FloatArray:
     """c0 [rad/(N m)] of an edge at ``distance`` [m]: (s - a)^3/(3 EI s^2), a the adaptor's length [m].
 
-    (7) and (12) of Kaneko1998 for a = 0; with a, the beam of length s - a bends by f (s - a)^3/(3 EI) under the
-    force f = M/s, and the base turns by that over s.
+    (7) and (12) of Kaneko1998 for a = 0; with a, the beam of length s - a bends by f (s - a)^3/(3 EI) under
+    the force f = M/s, and the base turns by that over s.
     """
     s, stiffness, a = _floats(distance, bending_stiffness, adaptor)
     return np.asarray((s - a) ** 3 / (3.0 * stiffness * s * s))
@@ -111,7 +112,8 @@ def distance_from_compliance(
     friction: ArrayLike = 0.0,
     radius_along: ArrayLike = 0.0,
 ) -> FloatArray:
-    """s [m] from C = theta/|M| of a push along the inner normal: s = 3 EI C/(k(h) (1 + (5/21) theta^2 - mu theta/5)).
+    """s [m] from C = theta/|M| of a push along the inner normal: s = 3 EI C/(k(h) (1 + (5/21) theta^2 - mu
+    theta/5)).
 
     Args:
         measured: C [rad/(N m)].
@@ -145,9 +147,9 @@ class Slip(NamedTuple):
 def slip_law(eps: ArrayLike, theta: ArrayLike, friction: ArrayLike, *, gain: float = SLIP_TOTALS) -> Slip:
     """(44) to (49) of Kaneko1998 on a flat profile, lambda = eps + pi/2, with the slips of the print mended.
 
-    tan(beta) = tan(alpha) sin(gamma), tan(gamma) = (cos lambda - sin lambda tan beta)/(k theta (sin lambda/cos beta)^2);
-    the square is missing in (47) and (48). ``gain`` is k: :data:`SLIP_TOTALS`, or :data:`SLIP_RATES` for the curves
-    of Figs. 13, 14 and 22.
+    tan(beta) = tan(alpha) sin(gamma), tan(gamma) = (cos lambda - sin lambda tan beta)/(k theta (sin
+    lambda/cos beta)^2); the square is missing in (47) and (48). ``gain`` is k: :data:`SLIP_TOTALS`, or
+    :data:`SLIP_RATES` for the curves of Figs. 13, 14 and 22.
 
     >>> law = slip_law(0.349, 0.0873, 0.176)
     >>> round(float(np.degrees(law.delta)), 1), round(float(law.compliance_ratio), 3)
@@ -171,8 +173,8 @@ def slip_law(eps: ArrayLike, theta: ArrayLike, friction: ArrayLike, *, gain: flo
 def return_onset(eps: ArrayLike, friction: ArrayLike) -> FloatArray:
     """Share of the largest angle at which a push that slid on a flat profile begins to slide home.
 
-    (tan|eps| - tan alpha)/(tan|eps| + tan alpha): the stuck contact point lets the force swing through the whole cone
-    while the base turns back; zero inside the cone, where nothing slid but the creep.
+    (tan|eps| - tan alpha)/(tan|eps| + tan alpha): the stuck contact point lets the force swing through the
+    whole cone while the base turns back; zero inside the cone, where nothing slid but the creep.
 
     >>> round(float(return_onset(np.radians(20.0), np.tan(np.radians(10.0)))), 3)
     0.347
@@ -186,7 +188,9 @@ def return_onset(eps: ArrayLike, friction: ArrayLike) -> FloatArray:
 def compliance_on_soft_body(
     distance: ArrayLike, *, bending_stiffness: ArrayLike, body_stiffness: ArrayLike
 ) -> FloatArray:
-    """C [rad/(N m)] on a body that gives way with ``body_stiffness`` k_o [N/m]: s/(3 EI) + 1/(s^2 k_o), (38)."""
+    """C [rad/(N m)] on a body that gives way with ``body_stiffness`` k_o [N/m]: s/(3 EI) + 1/(s^2 k_o),
+    (38).
+    """
     s, stiffness, k_o = _floats(distance, bending_stiffness, body_stiffness)
     return np.asarray(s / (3.0 * stiffness) + 1.0 / (s * s * k_o))
 
@@ -207,10 +211,11 @@ def soft_body(
 ) -> SoftBody:
     """Distance and stiffness of a soft body from two compliances, (38) to (42) of Kaneko1998.
 
-    With c = 3 EI C and D the shift, both pushes obey s^2 (c1 - s) = (s - D)^2 (c2 - s + D), whose cubes cancel:
-    f(s) = (3D + c2 - c1) s^2 - D (2 c2 + 3D) s + D^2 (c2 + D) = 0. Its leading factor exceeds 2D, because
-    c1 - c2 < D; f(0) = D^2 (c2 + D) > 0; f(D) = D^2 (D - c1) < 0, because c1 > s > D. So exactly one root lies
-    between 0 and D and exactly one beyond D, which alone leaves a length s - D > 0 for the second push.
+    With c = 3 EI C and D the shift, both pushes obey s^2 (c1 - s) = (s - D)^2 (c2 - s + D), whose cubes
+    cancel: f(s) = (3D + c2 - c1) s^2 - D (2 c2 + 3D) s + D^2 (c2 + D) = 0. Its leading factor exceeds 2D,
+        because
+    c1 - c2 < D; f(0) = D^2 (c2 + D) > 0; f(D) = D^2 (D - c1) < 0, because c1 > s > D. So exactly one root
+    lies between 0 and D and exactly one beyond D, which alone leaves a length s - D > 0 for the second push.
 
     Args:
         first: C [rad/(N m)] at s.
@@ -223,8 +228,8 @@ def soft_body(
     lead = 3.0 * d + c_2 - c_1
     if not (np.all(d > 0.0) and np.all(c_1 > d) and np.all(c_2 > 0.0) and np.all(lead > 0.0)):
         raise UsageError(
-            "soft_body needs a shift above zero, shorter than 3 EI times the first compliance, and compliances that "
-            "differ by less than the shift allows: repeat the two pushes farther apart"
+            "soft_body needs a shift above zero, shorter than 3 EI times the first compliance, and compliances "
+            "that differ by less than the shift allows: repeat the two pushes farther apart"
         )
     root = np.sqrt(4.0 * c_1 * c_2 + 4.0 * d * (c_1 - c_2) - 3.0 * d * d)
     half = d * (2.0 * c_2 + 3.0 * d)
@@ -254,8 +259,9 @@ def one_push(
 ) -> OnePush:
     """Distance and normal from one push that slips, Solomon2008, with an assumed friction angle.
 
-    D = delta - pi, eps = D + sign(D) alpha, s = 3 EI theta cos(eps)/(|M| cos(alpha)). It holds where the contact
-    slides on a flat profile and alpha is right; inside the cone its normal is off by the friction angle.
+    D = delta - pi, eps = D + sign(D) alpha, s = 3 EI theta cos(eps)/(|M| cos(alpha)). It holds where the
+    contact slides on a flat profile and alpha is right; inside the cone its normal is off by the friction
+    angle.
     """
     angle, m, d, alpha, stiffness = _floats(theta, moment, delta, friction_angle, bending_stiffness)
     off = d - np.pi

@@ -1,8 +1,10 @@
-"""The planar elastica with a clamped base and an end that carries a force and no moment, by its energy integral.
+"""The planar elastica with a clamped base and an end that carries a force and no moment, by its energy
+integral.
 
-A rod that is isotropic, without twist and loaded at its end by a force alone bends in the plane of its base tangent
-and that force, so this plane curve is the exact shape in space too. With theta(s) the angle of the tangent from the
-base's, b = theta(l) the whole bend, eta the angle from the end tangent to the force F and f = F/EI,
+A rod that is isotropic, without twist and loaded at its end by a force alone bends in the plane of its base
+tangent and that force, so this plane curve is the exact shape in space too. With theta(s) the angle of the
+tangent from the base's, b = theta(l) the whole bend, eta the angle from the end tangent to the force F and f
+= F/EI,
 
     theta'^2 = 2 f (cos eta - cos(eta + b - theta)),
 
@@ -45,7 +47,9 @@ class Shape(NamedTuple):
 
 
 def shape(bend: FloatArray, eta: FloatArray) -> Shape:
-    """The shape for a whole bend (rad, above zero) and the angle from end tangent to force (rad, in (0, pi))."""
+    """The shape for a whole bend (rad, above zero) and the angle from end tangent to force (rad, in (0,
+    pi)).
+    """
     bend = np.maximum(bend, SMALLEST)
     sin_eta, cos_eta = np.sin(eta), np.cos(eta)
     length = np.zeros_like(bend)

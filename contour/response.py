@@ -1,7 +1,7 @@
 """What goes into a push and what comes out, for every model of it: arguments checked and broadcast, records.
 
-Signs: eps = phi - nu- is the pushing direction off the inner normal, delta = phi - psi the angle from the force on
-the beam to the push; on the way out delta - pi has the sign of eps.
+Signs: eps = phi - nu- is the pushing direction off the inner normal, delta = phi - psi the angle from the
+force on the beam to the push; on the way out delta - pi has the sign of eps.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ MAX_ANGLE = 1.2
 MAX_TILT = 1.4
 """Largest tilt of a tip's surface out of the sensing plane [rad]."""
 LEAST_ANGLE = 1e-5
-"""A push is never followed at less than this angle [rad]: its slips, of the order theta^2/100, drown in rounding, and
-its directions have their limits by then."""
+"""A push is never followed at less than this angle [rad]: its slips, of the order theta^2/100, drown in
+rounding, and its directions have their limits by then."""
 SHARPEST = 1e-9
 """Profile radii below this share of s are corners, on which the contact stays."""
 
@@ -42,7 +42,8 @@ class PushResponse:
     compliance_ratio: FloatArray
     """C/c0: theta/|M| over s/(3 EI)."""
     slipped_off: BoolArray
-    """The contact ran round the body and left it; the other fields are finite, for a contact held where it last was."""
+    """The contact ran round the body and left it; the other fields are finite, for a contact held where it
+    last was."""
     slide: FloatArray
     """a [m], slide along the profile, positive a quarter turn past the outer normal."""
     arc_length: FloatArray
@@ -58,7 +59,8 @@ class CycleResponse:
     moment_angle: FloatArray
     """|M| s/(3 EI) [rad]: the angle at which an edge would answer with this moment."""
     slipped_off: BoolArray
-    """The contact has left the body by this angle; the other fields are finite, for a contact held where it last was."""
+    """The contact has left the body by this angle; the other fields are finite, for a contact held where it
+    last was."""
     slide: FloatArray
     """a [m], slide along the profile, positive a quarter turn past the outer normal."""
     arc_length: FloatArray
@@ -156,8 +158,8 @@ def request(
         shape = np.broadcast_shapes(angles.shape[:-1], e.shape, s.shape, mu.shape, r.shape, r_l.shape)
     except ValueError as error:
         raise UsageError(
-            f"eps {e.shape}, thetas {angles.shape}, distance {s.shape}, friction {mu.shape}, radii {r.shape} and "
-            f"{r_l.shape} do not broadcast: give one value or one per push"
+            f"eps {e.shape}, thetas {angles.shape}, distance {s.shape}, friction {mu.shape}, radii {r.shape} "
+            f"and {r_l.shape} do not broadcast: give one value or one per push"
         ) from error
     s = np.broadcast_to(s, shape)
     path = np.broadcast_to(angles, (*shape, angles.shape[-1])).reshape(-1, angles.shape[-1])
@@ -190,7 +192,8 @@ def request_tip(
     chi, radius = np.asarray(tilt, dtype=np.float64), np.asarray(radius_along, dtype=np.float64)
     if not np.all(np.abs(chi) <= MAX_TILT):
         raise UsageError(
-            f"tilt must lie within {MAX_TILT} rad: a tip pushed nearer to its axis is not felt; approach it aslant"
+            f"tilt must lie within {MAX_TILT} rad: a tip pushed nearer to its axis is not felt; "
+            "approach it aslant"
         )
     if np.any(np.isnan(radius)):
         raise UsageError("radius_along is not a number: give metres, inf for a flat surface")

@@ -1,19 +1,21 @@
 """The exact rod in contact: with its side on a doubly curved body, or with its tip on a tilted one.
 
-The body's surface is its silhouette swept with the radius R along the beam: with e_t, e_n, e_y as in contour.slip,
-a profile point c(a) with normal n(a), and the angle zeta by which the contact's normal leans from the sensing plane
-towards the base,
+The body's surface is its silhouette swept with the radius R along the beam: with e_t, e_n, e_y as in
+contour.slip, a profile point c(a) with normal n(a), and the angle zeta by which the contact's normal leans
+from the sensing plane towards the base,
 
     n(a, zeta) = cos zeta n(a) - sin zeta e_y,   P = e_y + c(a) + R (n(a, zeta) - n(a)).
 
-The rod touches where its end tangent is perpendicular to n(a, zeta); it is a planar elastica (contour.planar_elastica)
-in the plane of the base tangent t0 and of P. That leaves three unknowns, a, zeta and eta (the angle from end tangent
-to force), and three equations: the rod reaches P, and Coulomb's law for the two components of friction with the slip
-of the rod's material point, dP - t_end dl (contour.rod_path solves them). Lengths are in units of s.
+The rod touches where its end tangent is perpendicular to n(a, zeta); it is a planar elastica
+(contour.planar_elastica) in the plane of the base tangent t0 and of P. That leaves three unknowns, a, zeta
+and eta (the angle from end tangent to force), and three equations: the rod reaches P, and Coulomb's law for
+the two components of friction with the slip of the rod's material point, dP - t_end dl (contour.rod_path
+solves them). Lengths are in units of s.
 
-A tip has no such tangency, and all of the rod is bent: l = s. Its surface's axes are tilted by chi towards the base,
-e_n' = cos chi e_n - sin chi e_y, e_y' = cos chi e_y + sin chi e_n; the surface is the profile in (e_t, e_n') swept along
-a second one in the plane of e_n' and e_y', and the tip is a material point, whose slip is dP.
+A tip has no such tangency, and all of the rod is bent: l = s. Its surface's axes are tilted by chi towards
+the base, e_n' = cos chi e_n - sin chi e_y, e_y' = cos chi e_y + sin chi e_n; the surface is the profile in
+(e_t, e_n') swept along a second one in the plane of e_n' and e_y', and the tip is a material point, whose
+slip is dP.
 """
 
 from __future__ import annotations
@@ -48,8 +50,9 @@ class Contact(NamedTuple):
 class Memory(NamedTuple):
     """What friction remembers: the last b, zeta and l, and the slip that counts as made already.
 
-    Where a stroke goes on, this is w^2/(1 + 2w) of the slip of the step before, w being the ratio of the steps: then
-    the direction of what is left is that of the rate of slip at the end of the step, to second order.
+    Where a stroke goes on, this is w^2/(1 + 2w) of the slip of the step before, w being the ratio of the
+    steps: then the direction of what is left is that of the rate of slip at the end of the step, to second
+        order.
     """
 
     b: FloatArray
@@ -135,7 +138,8 @@ class SideBody:
         scale = ahead / rod.ahead
         length = scale * rod.length
         sin_b, cos_b = np.sin(bend), np.cos(bend)
-        # Components along e_a and e_zeta of base tangent and bending direction, then of end tangent and force.
+        # Components along e_a and e_zeta of base tangent and bending direction, then of end tangent and
+        # force.
         lat_0, lat_d = t_t * cos - t_n * sin, (w_t * cos - w_n * sin) / aside
         lon_0 = -sin_z * (t_t * sin + t_n * cos) - cos_z * t_y
         lon_d = (-sin_z * (w_t * sin + w_n * cos) - cos_z * w_y) / aside
@@ -165,8 +169,8 @@ class SideBody:
     def guess(self, theta: FloatArray, b: FloatArray, along: FloatArray) -> Contact:
         """A contact near b: lean by the small-angle rod, friction with its share ``along`` along the beam.
 
-        A rod with an end force bends by 3/2 of the slope of its chord; with the drop R zeta^2/2 and the shift R zeta of
-        the touching point this makes a quadratic equation for zeta.
+        A rod with an end force bends by 3/2 of the slope of its chord; with the drop R zeta^2/2 and the shift
+        R zeta of the touching point this makes a quadratic equation for zeta.
         """
         sine, cosine = np.sin(theta), np.cos(theta)
         out_c, out_n, cos, sin, _, _ = self.profile.at(b)
@@ -188,7 +192,9 @@ class SideBody:
 
 
 class TipBody:
-    """Bodies that the rod's tip touches; the unknown ``zeta`` is here the parameter of the profile along the beam."""
+    """Bodies that the rod's tip touches; the unknown ``zeta`` is here the parameter of the profile along the
+    beam.
+    """
 
     def __init__(
         self, eps: FloatArray, friction: FloatArray, tilt: FloatArray, ridge: ArcProfile, profile: Profile

@@ -1,8 +1,9 @@
 """The exact rod followed step by step through a push, with Coulomb friction, sticking and slipping off.
 
-At each step the contact's unknowns solve its geometry (contour.rod) and Coulomb's law for the two components of
-friction with the slip of the step. A step starts from the increment of the reduced rod; rows that do not settle try
-the jump that it makes, then smaller steps; rows that find no contact have slipped off, or did not converge.
+At each step the contact's unknowns solve its geometry (contour.rod) and Coulomb's law for the two components
+of friction with the slip of the step. A step starts from the increment of the reduced rod; rows that do not
+settle try the jump that it makes, then smaller steps; rows that find no contact have slipped off, or did not
+converge.
 """
 
 from __future__ import annotations
@@ -83,8 +84,8 @@ class Hint(NamedTuple):
 def _newton(body: Body, theta: FloatArray, c: Contact, before: Memory) -> tuple[Contact, FloatArray]:
     """A better contact, and how far it moved: shares of theta for b and zeta, radians for eta.
 
-    Geometry and elastica are smooth in the unknowns and are linearised (Jacobian by differences); Coulomb's law is
-    not, and is solved as it stands on that linearisation, with the two slips as unknowns.
+    Geometry and elastica are smooth in the unknowns and are linearised (Jacobian by differences); Coulomb's
+    law is not, and is solved as it stands on that linearisation, with the two slips as unknowns.
     """
     h = DIFFERENCE * theta
     _, _, _, _, _, speed = body.profile.at(c.b)
@@ -141,8 +142,8 @@ def _coulomb(
     """Slips that satisfy Coulomb's law where the friction force is force + stiff slip.
 
     Sticking, slip = 0, where |force| <= grip; else force + stiff slip = -grip slip/|slip|, that is
-    slip = -p (1 + p stiff)^-1 force with |(1 + p stiff)^-1 force| = grip. The inverse of that norm is a concave,
-    rising function of p, so that Newton's steps come to its root from below, wherever they start.
+    slip = -p (1 + p stiff)^-1 force with |(1 + p stiff)^-1 force| = grip. The inverse of that norm is a
+    concave, rising function of p, so that Newton's steps come to its root from below, wherever they start.
     """
     a, b, c, d = stiff
     trace, det = a + d, a * d - b * c

@@ -1,9 +1,10 @@
 """The body's profile in the sensing plane: the curve on which a contact slides.
 
-Axes at touch: e_n the outer normal, e_t a quarter turn past it in the sense of the plane's angles (from +x_s to
-+z_s). A profile point is c_t e_t + c_n e_n, its normal sin(omega) e_t + cos(omega) e_n, omega the turn of the normal
-(its sense is that of e_t on a convex profile), its curvature d omega/da positive where convex. Each profile has its
-own parameter b, zero at touch; all arrays hold one value per push, or have more axes in front. Lengths are in s.
+Axes at touch: e_n the outer normal, e_t a quarter turn past it in the sense of the plane's angles (from +x_s
+to +z_s). A profile point is c_t e_t + c_n e_n, its normal sin(omega) e_t + cos(omega) e_n, omega the turn of
+the normal (its sense is that of e_t on a convex profile), its curvature d omega/da positive where convex.
+Each profile has its own parameter b, zero at touch; all arrays hold one value per push, or have more axes in
+front. Lengths are in s.
 """
 
 from __future__ import annotations
@@ -46,7 +47,9 @@ class Frame(NamedTuple):
 
 
 class Profile(Protocol):
-    """A silhouette curve in the sensing plane, n of them at once, each with its own parameter b (0 at touch)."""
+    """A silhouette curve in the sensing plane, n of them at once, each with its own parameter b (0 at
+    touch).
+    """
 
     def at(self, b: FloatArray) -> Frame:
         """Point and directions at b; the arrays are the caller's to change."""
@@ -143,11 +146,12 @@ class ArcProfile:
 
 
 class SampledProfile:
-    """Silhouettes given by heights at offsets along the tangent at touch: C1 piecewise cubics through the samples.
+    """Silhouettes given by heights at offsets along the tangent at touch: C1 piecewise cubics through the
+    samples.
 
-    The parameter b is the offset itself. The cubics take their slopes from the parabola through three neighbouring
-    samples; the heights are shifted so that the curve passes through the touch point. A height that is not a number
-    ends the profile.
+    The parameter b is the offset itself. The cubics take their slopes from the parabola through three
+    neighbouring samples; the heights are shifted so that the curve passes through the touch point. A height
+    that is not a number ends the profile.
     """
 
     def __init__(self, offsets: FloatArray, heights: FloatArray) -> None:
@@ -230,13 +234,16 @@ class SampledProfile:
 
 
 def sampled(offsets: ArrayLike, heights: ArrayLike, distance: FloatArray) -> SampledProfile:
-    """Profiles (n) of pushes at ``distance`` (their shape) from samples in metres, (m,) or (..., m), checked."""
+    """Profiles (n) of pushes at ``distance`` (their shape) from samples in metres, (m,) or (..., m),
+    checked.
+    """
     x, h = np.asarray(offsets, dtype=np.float64), np.asarray(heights, dtype=np.float64)
     try:
         shape = np.broadcast_shapes(x.shape, h.shape, (*distance.shape, 1))
     except ValueError as error:
         raise UsageError(
-            f"profile offsets {x.shape} and heights {h.shape} do not fit pushes {distance.shape}: give (m,) or (..., m)"
+            f"profile offsets {x.shape} and heights {h.shape} do not fit pushes {distance.shape}: "
+            "give (m,) or (..., m)"
         ) from error
     if shape[:-1] != distance.shape:
         raise UsageError(

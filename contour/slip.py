@@ -1,22 +1,22 @@
 """The reduced rod: one scalar unknown, the slide along the profile, followed step by step through a push.
 
-The contact slides in the sensing plane on the body's silhouette and leans along the beam over its radius R; the beam
-is a spring that points from its own base tangent to the touching point; Coulomb friction acts on the lateral and
-longitudinal slip together, so that the memory of friction comes by itself. Lengths are in units of the distance s at
-touch.
+The contact slides in the sensing plane on the body's silhouette and leans along the beam over its radius R;
+the beam is a spring that points from its own base tangent to the touching point; Coulomb friction acts on the
+lateral and longitudinal slip together, so that the memory of friction comes by itself. Lengths are in units
+of the distance s at touch.
 
-Frame at touch (fixed in the world during the push): e_t, e_n, e_y, where e_y is the beam, e_n the outer normal and
-e_t lies a quarter turn past e_n in the sense of the angles of the sensing plane (from +x_s to +z_s). A push with
-eps > 0 turns the beam towards -e_t, so the slide is negative.
+Frame at touch (fixed in the world during the push): e_t, e_n, e_y, where e_y is the beam, e_n the outer
+normal and e_t lies a quarter turn past e_n in the sense of the angles of the sensing plane (from +x_s to
++z_s). A push with eps > 0 turns the beam towards -e_t, so the slide is negative.
 
-At the slide a, with the profile's point c, tangent t and normal n there, the lean zeta of the touching point P is the
-small-angle rod's, the root of a quadratic equation:
+At the slide a, with the profile's point c, tangent t and normal n there, the lean zeta of the touching point
+P is the small-angle rod's, the root of a quadratic equation:
 
-    P = e_y + c + R ((cos zeta - 1) n - sin zeta e_y),   tan(zeta) from a bend of 3/2 r,
+    P = e_y + c + R ((cos zeta - 1) n - sin zeta e_y),   zeta so that the rod is tangent there,
     X = P . t0,  W = P - X t0,  Y = |W|,  r = Y/X,  l = |P| (1 + r^2/10),  L = l + R zeta,
 
-t0 the base tangent. The force is along W + h t0, its axial part h = tau Y - 3/2 r Y (1 + tau^2) with the friction
-tau = mu dL/slip along a rod that is bent by 3/2 r; a solves Coulomb's law across,
+t0 the base tangent. The force is along W + h t0, its axial part h = tau Y - 3/2 r Y (1 + tau^2) with the
+friction tau = mu dL/slip along a rod that is bent by 3/2 r; a solves Coulomb's law across,
 
     F . t + mu (F . n) dA/slip = 0,   slip^2 = dA^2 + dL^2,
 
@@ -186,7 +186,8 @@ def _place(rows: _Rows, turn: _Turn, b: FloatArray) -> _Place:
     p_n += out * cos
     level = turn.cos - turn.t * along
     level -= turn.n * out
-    # zeta: tan(bend) = tilt_n + cos zeta, times X, a quadratic but for terms that the edge's own lean stands in for.
+    # zeta: tan(bend) = tilt_n + cos zeta, times X, a quadratic but for terms that the edge's own lean stands
+    # in for.
     level_tilt = level * tilt_n
     depth = level_tilt + p_n
     rho = depth / level
@@ -268,7 +269,7 @@ class _Conditions(NamedTuple):
     """|P|/X."""
 
 
-def _conditions(rows: _Rows, turn: _Turn, p: _Place, b: FloatArray, before: _Memory) -> _Conditions:
+def _conditions(rows: _Rows, p: _Place, b: FloatArray, before: _Memory) -> _Conditions:
     chord = np.sqrt(p.square)
     secant = chord / p.ahead
     length = secant * secant
@@ -297,14 +298,15 @@ def _conditions(rows: _Rows, turn: _Turn, p: _Place, b: FloatArray, before: _Mem
 def _improve(
     rows: _Rows, turn: _Turn, b: FloatArray, before: _Memory, inner: int
 ) -> tuple[FloatArray, FloatArray]:
-    """A better b, and how far it still was, squared and compared with the slip (relative to the second order left).
+    """A better b, and how far it still was, squared and compared with the slip (relative to the second order
+    left).
 
     Geometry and elastic force are nearly linear in the slide; friction, dA/slip, is not. So the geometry is
-    linearised, and the friction law is solved on it by Newton steps, which come to the root of a concave function
-    from below, with y = |dA| as unknown.
+    linearised, and the friction law is solved on it by Newton steps, which come to the root of a concave
+    function from below, with y = |dA| as unknown.
     """
     p = _place(rows, turn, b)
-    c = _conditions(rows, turn, p, b, before)
+    c = _conditions(rows, p, b, before)
     mu, radius = rows.friction, rows.radius
     # Derivatives along the profile.
     lean = 1.5 * p.curvature * p.lateral
@@ -402,7 +404,7 @@ def _improve(
 def _residual(rows: _Rows, turn: _Turn, b: FloatArray, before: _Memory) -> tuple[FloatArray, FloatArray]:
     """F . t + mu (F . n) dA/slip at b, and W . n."""
     p = _place(rows, turn, b)
-    c = _conditions(rows, turn, p, b, before)
+    c = _conditions(rows, p, b, before)
     slip = np.sqrt(c.slid * c.slid + c.paid * c.paid + NOTHING)
     tau = rows.friction * c.paid / slip
     axial = tau * c.aside - c.bent * (1.0 + tau * tau)
@@ -411,7 +413,9 @@ def _residual(rows: _Rows, turn: _Turn, b: FloatArray, before: _Memory) -> tuple
 
 
 def _search(rows: _Rows, turn: _Turn, before: _Memory, depth: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """The first equilibrium past the last position, by growing brackets and bisection; False where there is none."""
+    """The first equilibrium past the last position, by growing brackets and bisection; False where there is
+    none.
+    """
     start = before.b
     first, _ = _residual(rows, turn, start, before)
     sense = -np.sign(first)
@@ -554,7 +558,7 @@ def _follow_rows(rows: _Rows, thetas: FloatArray, out: dict[str, FloatArray], sl
             )
             gone[pulled] = ~on_body
             p = _place(rows, turn, new)
-        c = _conditions(rows, turn, p, new, before)
+        c = _conditions(rows, p, new, before)
         along = c.paid / np.sqrt(c.slid * c.slid + c.paid * c.paid + NOTHING)
         slid, pay = c.slid + before.slid, c.paid + before.paid - paid
         paid, length = paid + pay, c.length

@@ -78,7 +78,9 @@ def test_cycles_match_the_truth():
 
 
 def _place(theta, eps, mu_tau, radius, kappa, x):
-    """P, its directions and lean at arc length x; the lean from its equation, with friction tau = mu_tau along."""
+    """P, its directions and lean at arc length x; the lean from its equation, with friction tau = mu_tau
+    along.
+    """
     turn = kappa * x
     c = np.array([x, 0.0, 0.0]) if kappa == 0 else np.array([np.sin(turn), np.cos(turn) - 1.0, 0.0]) / kappa
     across, normal = np.array([np.cos(turn), -np.sin(turn), 0.0]), np.array([np.sin(turn), np.cos(turn), 0.0])
@@ -113,8 +115,9 @@ def _slow_path(eps, thetas, mu, radius, kappa):
         w = step / step_before if step * step_before > 0 else 0.0
         share = w * w / (1 + 2 * w)
         memory = (a, length, paid, share * d_a, share * d_l)
+        sense = np.sign(step)
 
-        def state(x, theta=theta, memory=memory, sense=np.sign(step)):
+        def state(x, theta=theta, memory=memory, sense=sense):
             a, length, paid, a_carry, l_carry = memory
             p, bent, ahead, zeta, across, normal, t_0 = _place(theta, eps, sense * mu, radius, kappa, x)
             aside = np.linalg.norm(bent)
@@ -160,6 +163,22 @@ def test_slide_solves_the_contact_condition(eps, mu, radius, kappa):
     )
     slow = _slow_path(eps, thetas, mu, radius, kappa)
     assert np.allclose(path.slide[:, 0], slow, atol=0.08**2 * np.abs(slow).max())
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.3, 1.0])
+def test_lean_makes_the_rod_tangent(radius):
+    """The quadratic for zeta against the tangency of an elastica, at both ends of the way: 1e-3 of zeta.
+
+    Friction along the beam, mu = 0.5 here, bends the rod by mu r/20 = 2e-3 less on the way out and more on
+    the way back.
+    """
+    theta, mu = 0.08, 0.5
+    thetas = theta * OUT_AND_BACK
+    args = (np.zeros(1), thetas[:, None], np.array([mu]), np.array([radius]), ArcProfile(np.zeros(1)))
+    lean = follow(*args).lean[:, 0]
+    for i, sense in ((7, 1.0), (9, -1.0)):
+        zeta = _place(thetas[i], 0.0, sense * mu, radius, 0.0, 0.0)[3]
+        assert lean[i] == pytest.approx(zeta, rel=1e-3)
 
 
 def test_push_is_the_end_of_its_path(rng):
@@ -222,7 +241,9 @@ def test_push_along_the_normal_does_not_slide():
 
 
 def test_frictionless_force_is_normal():
-    """mu = 0 on a flat profile: the force in the sensing plane is the normal's projection, theta^2/2 off at most."""
+    """mu = 0 on a flat profile: the force in the sensing plane is the normal's projection, theta^2/2 off at
+    most.
+    """
     eps, theta = np.radians([10.0, 40.0, -60.0]), 0.05
     push = contact.push_response(eps, theta, friction=0.0, **FLAT)
     assert np.allclose(push.delta, np.pi + eps, atol=theta**2 / 2)
@@ -237,10 +258,11 @@ def test_frictionless_push_has_no_memory():
 
 
 def test_one_push_and_return_sees_both_edges_of_the_cone():
-    """eps 20 deg, alpha 10 deg, flat: the force is +10 deg off nu+ on the way out and -10 deg at the end of the return.
+    """eps 20 deg, alpha 10 deg, flat: the force is +10 deg off nu+ on the way out and -10 deg at the end of
+    the return.
 
-    As extrapolated to theta -> 0 on both strokes; 0.3 deg is the finite angle's part (theta^2/2 = 0.1 deg) and the
-    share of friction that acts along the beam.
+    As extrapolated to theta -> 0 on both strokes; 0.3 deg is the finite angle's part (theta^2/2 = 0.1 deg)
+    and the share of friction that acts along the beam.
     """
     eps, alpha = np.radians(20.0), np.radians(10.0)
     cycle = contact.push_cycle(eps, 0.05 * OUT_AND_BACK, friction=np.tan(alpha), **FLAT)
@@ -263,7 +285,9 @@ def test_finer_paths_change_little(rng):
 
 
 def test_runaway_pushes_slip_off_and_stay_finite():
-    """A round body smaller than half the depth of the push, pushed outside the cone: it is left, and that is said."""
+    """A round body smaller than half the depth of the push, pushed outside the cone: it is left, and that is
+    said.
+    """
     q = np.array([0.3, 0.45, 4.0])
     theta = 0.08
     cycle = contact.push_cycle(
@@ -292,7 +316,9 @@ def test_runaway_pushes_slip_off_and_stay_finite():
     ],
 )
 def test_small_radii_run_round_the_body(q, delta, ratio):
-    """eps 20 deg, alpha 10 deg, small theta: delta and C/c0 grow as the lateral radius falls to the push's depth."""
+    """eps 20 deg, alpha 10 deg, small theta: delta and C/c0 grow as the lateral radius falls to the push's
+    depth.
+    """
     theta = np.radians(2.0)
     push = contact.push_response(
         np.radians(20.0),
@@ -308,7 +334,9 @@ def test_small_radii_run_round_the_body(q, delta, ratio):
 
 @pytest.mark.parametrize("q", [0.35, 0.45, 0.6, 0.9])
 def test_pushes_inside_the_cone_hold_on_bodies_smaller_than_their_depth(q):
-    """eps to 8 deg within alpha = 10 deg: friction holds what the curvature would let run; C/c0 within 0.2 %."""
+    """eps to 8 deg within alpha = 10 deg: friction holds what the curvature would let run; C/c0 within 0.2
+    %.
+    """
     theta = np.radians(4.0)
     push = contact.push_response(
         np.radians([2.0, 5.0, 8.0]),
@@ -345,7 +373,9 @@ def _circle(radius, half, count=41):
 
 
 def test_sampled_profile_answers_as_its_arc():
-    """A circle by its heights against the circle by its radius: cells of 0.04 R leave normals 1e-4 rad off."""
+    """A circle by its heights against the circle by its radius: cells of 0.04 R leave normals 1e-4 rad
+    off.
+    """
     radius, theta = 0.012, 0.05
     args = {"distance": 0.1, "friction": 0.15, "radius_along": 0.02}
     eps = np.radians([-25.0, 3.0, 20.0])

@@ -28,7 +28,9 @@ def _p99(values):
 
 
 def test_pushes_match_the_truth():
-    """160 pushes of an independent rod, 99 % of them within 0.1 % and 0.05 deg; that truth is good to 0.015 deg."""
+    """160 pushes of an independent rod, 99 % of them within 0.1 % and 0.05 deg; that truth is good to 0.015
+    deg.
+    """
     table = _truth("pushes.csv")
     s = 0.11
     push = elastica.push_response(
@@ -79,7 +81,9 @@ def _one_path(eps, theta, mu, radius, kappa):
     [(0.3, 0.1, 0.2, 0.5, 3.0), (-0.6, 0.08, 0.1, 0.0, 0.0), (0.1, 0.3, 0.3, 1.0, -1.0)],
 )
 def test_rod_in_space_ends_on_the_body_and_touches_it(eps, theta, mu, radius, kappa):
-    """r' = t, t' = (P - r) x F x t/EI integrated in 3-D from the base moment found: it ends at P, tangent to the body."""
+    """r' = t, t' = (P - r) x F x t/EI integrated in 3-D from the base moment found: it ends at P, tangent to
+    the body.
+    """
     path = _one_path(eps, theta, mu, radius, kappa)
     a, zeta, length = path.slide[-1, 0], path.lean[-1, 0], path.arc_length[-1, 0]
     turn = kappa * a
@@ -112,7 +116,8 @@ def test_rod_in_space_ends_on_the_body_and_touches_it(eps, theta, mu, radius, ka
     force = axial * t_0 + (moment + np.linalg.norm(aside) * axial) / ahead * d
     push = force @ normal
     rub = np.linalg.norm(force - push * normal)
-    # Sliding: friction is mu N. The tangency found is good to 1e-7, and the axial force to 1e-5 of the moment.
+    # Sliding: friction is mu N. The tangency found is good to 1e-7, and the axial force to 1e-5 of the
+    # moment.
     assert rub / push == pytest.approx(mu, rel=2e-3)
 
 
@@ -124,7 +129,9 @@ def test_finite_angle_of_an_edge_is_five_over_twenty_one():
 
 
 def test_friction_along_the_beam_turns_sign_on_the_way_back():
-    """-mu theta/5 on the way out, + on the way back; beyond the first step after the turn; rest mu^2 theta^2."""
+    """-mu theta/5 on the way out, + on the way back; beyond the first step after the turn; rest mu^2
+    theta^2.
+    """
     theta, mu = 0.02, 0.3
     shares = np.array([0.5, 1.0, 0.5])
     rough = elastica.push_cycle(0.0, theta * shares, friction=mu, **FLAT)
@@ -164,7 +171,8 @@ def test_friction_only_takes_energy(rng):
     stored = 0.5 * 0.06**2
     assert np.all(work > 0.0)
     assert np.all(work < stored)
-    # Along the beam alone friction mu N acts over twice theta^2/10: 4 mu theta/15 of what is stored, at eps = 0.
+    # Along the beam alone friction mu N acts over twice theta^2/10: 4 mu theta/15 of what is stored, at eps =
+    # 0.
     straight = elastica.push_cycle(0.0, thetas, friction=0.3, **FLAT)
     torque = straight.moment_angle
     burnt = np.sum(0.5 * (torque[1:] + torque[:-1]) * np.diff(thetas))
@@ -212,7 +220,9 @@ def test_reduced_rod_is_near_on_both_strokes(rng):
 
 
 def test_every_push_converges_or_has_slipped_off(rng):
-    """Small bodies, wild directions: nothing is silently wrong, everything finite, and flags never come back."""
+    """Small bodies, wild directions: nothing is silently wrong, everything finite, and flags never come
+    back.
+    """
     n = 300
     theta = rng.uniform(0.01, 0.1, n)
     cycle = elastica.push_cycle(
@@ -232,7 +242,9 @@ def test_every_push_converges_or_has_slipped_off(rng):
 
 
 def test_sampled_profile_answers_as_its_arc():
-    """A circle by its heights against the circle by its radius: cells of 0.04 R leave normals 1e-4 rad off."""
+    """A circle by its heights against the circle by its radius: cells of 0.04 R leave normals 1e-4 rad
+    off.
+    """
     radius, theta = 0.012, 0.05
     args = {"distance": 0.1, "friction": 0.15, "radius_along": 0.02}
     x = np.linspace(-0.8, 0.8, 41) * radius
@@ -248,12 +260,15 @@ def test_sampled_profile_answers_as_its_arc():
 
 @pytest.mark.parametrize("tilt", [-0.9, 0.0, 0.6])
 def test_tip_without_friction_is_the_rod_under_a_normal_force(tilt):
-    """Flat surface, eps = 0: the planar rod of full length with the surface's normal force that ends on the surface."""
+    """Flat surface, eps = 0: the planar rod of full length with the surface's normal force that ends on the
+    surface.
+    """
     theta = 0.08
     cycle = elastica.push_cycle_tip(
         0.0, [theta], distance=1.0, friction=0.0, radius_along=np.inf, radius_across=np.inf, tilt=tilt
     )
-    # In the plane (y, n): the tangent's angle from y turns from -theta up by the force along n' = (-sin, cos) tilt.
+    # In the plane (y, n): the tangent's angle from y turns from -theta up by the force along n' = (-sin, cos)
+    # tilt.
     lift = np.array([-np.sin(tilt), np.cos(tilt)])
 
     def shoot(force, m_0):
@@ -306,12 +321,15 @@ def test_corner_holds_the_contact():
     assert corner.converged.all()
     assert np.allclose(corner.delta, np.pi, atol=1e-9)
     assert np.allclose(corner.moment_angle[0], straight.moment_angle, rtol=1e-9)
-    # The rod is tangent to a normal 0.4 rad beside its bend: friction mu r/5 sees tan(0.4)^2 r of it, second order.
+    # The rod is tangent to a normal 0.4 rad beside its bend: friction mu r/5 sees tan(0.4)^2 r of it, second
+    # order.
     assert np.allclose(corner.moment_angle[1], straight.moment_angle, rtol=0.2 * 0.05**2)
 
 
 def test_upright_tip_slides_as_a_side():
-    """tilt = 0, flat: the slip of the tip is the slip of a side but for the rod's fixed length, theta^2 of each."""
+    """tilt = 0, flat: the slip of the tip is the slip of a side but for the rod's fixed length, theta^2 of
+    each.
+    """
     args = {"distance": 0.2, "friction": 0.2, "radius_across": np.inf}
     eps = np.array([0.05, 0.15, 0.4])
     tip = elastica.push_cycle_tip(eps, 0.05 * OUT_AND_BACK, radius_along=np.inf, tilt=0.0, **args)

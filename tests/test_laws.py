@@ -34,7 +34,9 @@ def test_compliance_with_adaptor_is_the_antenna_s():
 
 @pytest.mark.parametrize("u", [1e-3, 0.1, 0.5, 1.0])
 def test_k_solves_the_small_angle_contact_with_a_round_body(u):
-    """(23), (31) and (32) of Kaneko1998, small angles, solved by a root finder with s_x = theta = 1 and R = u."""
+    """(23), (31) and (32) of Kaneko1998, small angles, solved by a root finder with s_x = theta = 1 and R =
+    u.
+    """
 
     def distance(zeta):
         return 1.0 - u * zeta
@@ -62,9 +64,11 @@ def test_k_of_an_edge_is_one():
     assert float(contact.k_of_h(np.inf)) == 1.0
 
 
-@pytest.mark.parametrize(("friction", "radius"), [(0.0, 0.0), (0.3, 0.0), (0.2, 0.03)])
+@pytest.mark.parametrize("friction, radius", [(0.0, 0.0), (0.3, 0.0), (0.2, 0.03)])
 def test_distance_from_compliance_inverts_a_push(friction, radius):
-    """A push along the normal read back: closed form against reduced rod, which differ by u theta^2 and theta^4."""
+    """A push along the normal read back: closed form against reduced rod, which differ by u theta^2 and
+    theta^4.
+    """
     s, theta = 0.1, 0.05
     push = contact.push_response(
         0.0, theta, distance=s, friction=friction, radius_along=radius, radius_across=np.inf
@@ -97,7 +101,9 @@ def test_slip_law_keeps_one_percent_within_half_the_cone():
 
 
 def test_slip_totals_agree_with_the_reduced_rod_and_rates_creep_twice_as_much():
-    """Inside the cone delta - pi is eps theta/(10 tan alpha) (1 - beta bends it back by theta/(10 tan alpha))."""
+    """Inside the cone delta - pi is eps theta/(10 tan alpha) (1 - beta bends it back by theta/(10 tan
+    alpha)).
+    """
     eps, theta, mu = np.radians(3.0), 0.02, 0.2
     rod = contact.push_response(eps, theta, distance=1.0, friction=mu, radius_along=0.0, radius_across=np.inf)
     totals = contact.slip_law(eps, theta, mu).delta - np.pi
@@ -107,10 +113,11 @@ def test_slip_totals_agree_with_the_reduced_rod_and_rates_creep_twice_as_much():
 
 
 def test_return_onset_is_where_the_reduced_rod_begins_to_slide_home():
-    """On a flat profile the force of a push that slid swings through the cone, then slides home on its other edge.
+    """On a flat profile the force of a push that slid swings through the cone, then slides home on its other
+    edge.
 
-    The creep before the other edge (tan(beta) = tan(alpha) sin(gamma), sin(gamma) = 0.9 here) smears the onset by
-    less than 0.1 of the way that the cone takes.
+    The creep before the other edge (tan(beta) = tan(alpha) sin(gamma), sin(gamma) = 0.9 here) smears the
+    onset by less than 0.1 of the way that the cone takes.
     """
     eps, alpha, theta = np.radians(20.0), np.radians(10.0), 0.05
     shares = np.concatenate((np.linspace(0.05, 1.0, 20), np.linspace(0.99, 0.01, 99)))

@@ -11,7 +11,9 @@ from contour.planar_elastica import base_curvature, shape
     "bend, eta, tolerance", [(0.01, 1.4, 1e-13), (0.3, 1.7, 1e-12), (0.5, 1.2, 1e-12), (1.5, 1.3, 1e-9)]
 )
 def test_shape_solves_the_rod_s_equation(bend, eta, tolerance):
-    """theta'' = -f sin(gamma - theta) from the base, f = 1, gamma = bend + eta: end reached, straight there."""
+    """theta'' = -f sin(gamma - theta) from the base, f = 1, gamma = bend + eta: end reached, straight
+    there.
+    """
     b, e = np.array([bend]), np.array([eta])
     rod = shape(b, e)
     unit = np.sqrt(2.0 * bend)

@@ -31,7 +31,9 @@ def test_arc_frame_is_the_circle_s(curvature):
 
 
 def test_sampled_circle_is_the_circle():
-    """C1 cubics of 121 samples: heights to h^4, normals to h^2 and curvature to h of the cell 0.01 R, at worst."""
+    """C1 cubics of 121 samples: heights to h^4, normals to h^2 and curvature to h of the cell 0.01 R, at
+    worst.
+    """
     arc, curve = _profiles(0.4)
     for a in (-0.15, 0.003, 0.11):
         exact = arc.at(np.array([0.8 * np.tan(0.5 * a / 0.4)]))
@@ -44,7 +46,9 @@ def test_sampled_circle_is_the_circle():
 
 @pytest.mark.parametrize("make", [0, 1])
 def test_frame_is_consistent_with_differences(make):
-    """The tangent is the derivative of the point, and the curvature that of the normal's turn, by arc length."""
+    """The tangent is the derivative of the point, and the curvature that of the normal's turn, by arc
+    length.
+    """
     profile = _profiles(0.4)[make]
     b, h = np.array([0.0412]), 1e-5
     before, here, after = profile.at(b - h), profile.at(b), profile.at(b + h)
@@ -73,7 +77,7 @@ def test_frames_are_the_caller_s_own():
 
 
 @pytest.mark.parametrize(
-    ("offsets", "heights", "word"),
+    "offsets, heights, word",
     [
         ([0.0, 1.0, 2.0, 3.0], [0.0] * 4, "both sides"),
         ([-1.0, 1.0, 0.5, 2.0], [0.0] * 4, "rise"),
