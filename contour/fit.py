@@ -53,7 +53,7 @@ _STEP = np.array([0.0, 2e-4, 2e-3, 2e-3, 1e-2])
 _LOWER = np.array([np.log(2e-3), -np.inf, np.log(np.tan(np.deg2rad(0.3))), -4.0, -400.0])
 _UPPER = np.array([np.log(1.0), np.inf, np.log(np.tan(np.deg2rad(45.0))), 4.0, 400.0])
 _MAX_STEP = np.array([0.5, 0.15, 0.7, 0.5, 5.0])
-_ITERATIONS = 12
+_ITERATIONS = 8
 _SMALL_GAIN = 0.01
 """Fall of the cost (a chi^2) that is not worth another iteration."""
 _LOST = 1e3

@@ -79,7 +79,8 @@ def _crease_tree(environment: MeshEnvironment) -> cKDTree | None:
 
 def _tilt(normal: FloatArray, direction: FloatArray) -> FloatArray:
     """Angle of the normals out of Pi, positive towards the base; no steeper than the mechanics of a tip goes."""
-    return np.clip(np.arcsin(np.clip(-np.sum(normal * direction, axis=1), -1.0, 1.0)), -STEEPEST, STEEPEST)
+    tilt = np.arcsin(np.clip(-np.sum(normal * direction, axis=1), -1.0, 1.0))
+    return np.asarray(np.clip(tilt, -STEEPEST, STEEPEST))
 
 
 class MeshInstrument:
