@@ -333,7 +333,7 @@ def levels_plan(
 
 
 def _spread(count: int, mount: Mount) -> FloatArray:
-    """At least ``count`` beam directions (m, 3), world, even over what gimbal and tips are good at."""
+    """(count, 3) beam directions, world, even over what gimbal and tips are good at."""
     # Faces mostly lie square to the axes of their box: a direction nearer to one would tip them too steeply.
     steepest = np.sin(LARGEST_TILT) + 1e-9
     drawn = count
@@ -345,17 +345,22 @@ def _spread(count: int, mount: Mount) -> FloatArray:
         direction = np.column_stack((flat * np.cos(azimuth), flat * np.sin(azimuth), z)) @ mount.rotation.T
         kept = np.asarray(direction[np.max(np.abs(direction), axis=1) <= steepest])
         if kept.shape[0] >= count:
-            return kept
+            return np.asarray(kept[(np.arange(count) * kept.shape[0]) // count])
         drawn += 1
 
 
+def _shallowest(direction: FloatArray, box: FloatArray) -> FloatArray:
+    """(n,) m, depth where the normal of the box's inscribed ellipsoid is LARGEST_TILT out of Pi; beyond, less."""
+    middle = direction @ (0.5 * (box[0] + box[1]))
+    return np.asarray(middle - np.sin(LARGEST_TILT) * _inner_support(0.5 * (box[1] - box[0]), direction))
+
+
 def _tip_levels(direction: FloatArray, count: int, box: FloatArray, length: float) -> FloatArray:
-    """(n, count) m, depths of the tip's plane: through the half facing the base, the last as deep as it goes."""
+    """(n, count) m, depths of the tip's plane: through the half facing the base, the last the deepest."""
     half, centre = 0.5 * (box[1] - box[0]), 0.5 * (box[0] + box[1])
     middle, inner = direction @ centre, _inner_support(half, direction)
     deepest = middle - _support(half, direction) + (1.0 - NEAREST) * length
-    # On the inscribed ellipsoid the tilt of the normal out of Pi is at most LARGEST_TILT from here on.
-    first = middle - np.sin(LARGEST_TILT) * inner
+    first = _shallowest(direction, box)
     if count == 1:
         return np.asarray(deepest[:, None])
     last = middle - LAST_SECTION * inner
@@ -363,7 +368,8 @@ def _tip_levels(direction: FloatArray, count: int, box: FloatArray, length: floa
     sections = np.column_stack((first[:, None] + share * (last - first)[:, None], deepest))
     # A short beam does not get through: all planes then share the way it goes.
     even = first[:, None] + np.arange(count) / (count - 1) * (deepest - first)[:, None]
-    return np.where((deepest > last)[:, None], sections, even)
+    levels = np.where((deepest > last)[:, None], sections, even)
+    return np.where((deepest > first)[:, None], levels, deepest[:, None])
 
 
 def default_plan(
@@ -407,9 +413,8 @@ def default_plan(
     for more in (1, 2, 4, 8):
         direction = _spread(wanted * more, mount)
         tip = _tip_levels(direction, levels, box, antenna.beam.length)
-        near = direction @ (0.5 * (box[0] + box[1])) - _support(0.5 * (box[1] - box[0]), direction)
-        shallow = tip <= (near + (1.0 - NEAREST) * antenna.beam.length)[:, None] + 1e-9
-        i, j = np.nonzero(shallow)
+        # Of an object too large for the beam only a corner could be tipped, and that too steeply.
+        i, j = np.nonzero(tip >= _shallowest(direction, box)[:, None] - 1e-9)
         plan = _build(
             direction[i],
             tip[i, j],

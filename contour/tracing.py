@@ -55,7 +55,7 @@ SEARCH_LINES = (0.0, 0.24, -0.24, 0.48, -0.48, 0.72, -0.72, 0.96, -0.96)
 OPPOSITE = float(np.deg2rad(110.0))
 """Surfaces whose normals differ by more face each other across a gap [rad]."""
 CORNER_STEP = 0.3
-"""Shortest step after a contact beyond a corner, as share of the plan's step."""
+"""Step after a first contact, and shortest step after one beyond a corner, as share of the plan's step."""
 SHORTER = 1.0 / 3.0
 """A step is tried again this much shorter when walking round found nothing."""
 LARGEST_TRIES = 3
@@ -132,7 +132,7 @@ class Tracer:
 
     def clearance(self, which: IntArray) -> FloatArray:
         """(k,) m to release by before the next move: never past where the motion that touched began."""
-        return np.minimum(self._height[which], self._run[which])
+        return np.asarray(np.minimum(self._height[which], self._run[which]))
 
     def withdrawal(self, which: IntArray) -> Move:
         """A move that draws the beams ``which`` out of the object's box along themselves, for after they are
@@ -261,6 +261,8 @@ class Tracer:
         self._shorter[w] = 0
         self._higher[w] = 0
         self._status[begin] = Status.FOLLOWING
+        # Nothing is known of the curvature yet: begin with a short step.
+        self._step[begin] = CORNER_STEP * self._plan.step
         full = w[(self._outlines.count[w] >= self._limit[w]) & (self._status[w] == Status.FOLLOWING)]
         self._done(full, Status.LOST, "more contacts than the object's box explains")
         stuck = w[(self._stalls[w] > LARGEST_TRIES) & (self._status[w] == Status.FOLLOWING)]
@@ -390,7 +392,7 @@ class Tracer:
         self._offset[w] = first - self._first[w]
         self._since[w] = 1
         self._bend[w] = 0.0
-        self._step[w] = self._plan.step
+        self._step[w] = CORNER_STEP * self._plan.step
 
     def _drop_duplicates(self, w: IntArray) -> None:
         """Contours whose first touch lies on a finished outline of their plane are done."""

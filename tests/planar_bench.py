@@ -56,7 +56,7 @@ def polygon(corners) -> Shape:
 
 def ellipse(a: float, b: float) -> Shape:
     """An ellipse as a fine polygon."""
-    t = np.linspace(0.0, 2.0 * np.pi, 721)[:-1]
+    t = np.linspace(0.0, 2.0 * np.pi, 241)[:-1]
     return polygon(np.column_stack((a * np.cos(t), b * np.sin(t))))
 
 
