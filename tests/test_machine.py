@@ -204,9 +204,25 @@ def test_touch_is_declared_two_scans_above_the_threshold(rng):
         rows = slice(timeline.start[i], timeline.start[i + 1])
         press = timeline.elastic[rows][timeline.stroke[rows] == Stroke.PRESS]
         assert np.count_nonzero(press > machine.sensor.touch_moment) == TOUCH_SCANS
-        np.testing.assert_allclose(np.diff(press), slope[i] * TICK, rtol=1e-6)
-        assert press[0] <= slope[i] * TICK * (1.0 + 1e-9)
+        depth = 0.010 * timeline.time[rows][timeline.stroke[rows] == Stroke.PRESS] - travel[i]
+        np.testing.assert_allclose(press, slope[i] * depth, rtol=1e-6, atol=1e-9 * slope[i])
+        assert 0.0 < depth[0] <= TICK * (1.0 + 1e-9)
         assert timeline.peak[i] == pytest.approx(press[-1] + slope[i] * BRAKE, rel=1e-6)
+
+
+def test_touch_is_judged_against_the_mean_in_free_air(rng):
+    """The press ends with the first two scans in a row that stand off its own tare by the threshold."""
+    machine, n = MachineModel(sensor=Sensor(touch_sigmas=3.0)), 300
+    timeline = _touch(machine, rng.uniform(0.0005, 0.01, n), np.full(n, 0.2))
+    for i in range(n):
+        rows = slice(timeline.start[i], timeline.start[i + 1])
+        stroke, noise = timeline.stroke[rows], timeline.noise[rows]
+        read = noise + np.column_stack((timeline.elastic[rows], np.zeros(stroke.size)))
+        off = read[stroke == Stroke.PRESS] - noise[stroke == Stroke.FREE].mean(axis=0)
+        over = np.hypot(*off.T) > machine.sensor.touch_moment
+        assert over[-1]
+        assert over[-2]
+        assert not np.any(over[1:-1] & over[:-2])
 
 
 def test_a_touch_near_the_base_overshoots_by_six_millinewton_metres():
