@@ -55,6 +55,8 @@ class Touches:
     """Where it ends (n,) [m]."""
     near_face: IntArray
     """The face at the near end (n,)."""
+    far_face: IntArray
+    """The face at the far end (n,)."""
 
 
 def _first_of(values: FloatArray, owner: IntArray, n: int) -> FloatArray:
@@ -314,7 +316,7 @@ def _reduce_features(
     found = np.nonzero(pick >= 0)[0]
     pick = pick[found]
     touches.travel[found] = travel[pick]
-    touches.face[found] = touches.near_face[found] = face[pick]
+    touches.face[found] = touches.near_face[found] = touches.far_face[found] = face[pick]
     touches.where[found] = features.where[feature[pick]]
     for name in ("distance", "near", "far"):
         getattr(touches, name)[found] = features.distance[feature[pick], pick]
@@ -346,7 +348,7 @@ def _reduce(motions: Motions, owner: IntArray, face: IntArray, pieces: Pieces) -
     touches.travel[rows] = travel[pick]
     for name in ("distance", "near", "far"):
         getattr(touches, name)[rows] = pieces.distance[pick]
-    for name in ("face", "near_face"):
+    for name in ("face", "near_face", "far_face"):
         getattr(touches, name)[rows] = face[pick]
     touches.where[rows] = pieces.where[pick]
     _spread(motions, touches, owner, face, pieces)
@@ -377,14 +379,16 @@ def _note_ends(touches: Touches, owner: IntArray, face: IntArray, low: FloatArra
     n = len(touches.travel)
     least = _first_of(low, owner, n)
     most = -_first_of(-high, owner, n)
-    ends = low == least.take(owner)
-    # Of the faces that begin there, the one touched farthest along lies along the beam.
-    longest = -_first_of(np.where(ends, -high, np.inf), owner, n)
-    pick = _pick(ends & (high == longest.take(owner)), owner, n)
-    rows = np.nonzero(pick >= 0)[0]
-    touches.near[rows] = least[rows]
-    touches.far[rows] = most[rows]
-    touches.near_face[rows] = face[pick[rows]]
+    # Of the faces that begin there, but for rounding, the one touched farthest along lies along the beam; of
+    # those that end at the far end the one touched from farthest back.
+    first, last = low <= least.take(owner) + TIE, high >= most.take(owner) - TIE
+    ahead = np.where(first, -high, np.inf)
+    back = np.where(last, low, np.inf)
+    near = _pick(first & (ahead == _first_of(ahead, owner, n).take(owner)), owner, n)
+    far = _pick(last & (back == _first_of(back, owner, n).take(owner)), owner, n)
+    rows = np.nonzero(near >= 0)[0]
+    touches.near[rows], touches.near_face[rows] = least[rows], face[near[rows]]
+    touches.far[rows], touches.far_face[rows] = most[rows], face[far[rows]]
 
 
 def _nothing(n: int) -> Touches:
@@ -396,10 +400,11 @@ def _nothing(n: int) -> Touches:
         near=np.zeros(n),
         far=np.zeros(n),
         near_face=np.full(n, -1, dtype=np.int64),
+        far_face=np.full(n, -1, dtype=np.int64),
     )
 
 
-_FIELDS = ("travel", "distance", "face", "where", "near", "far", "near_face")
+_FIELDS = ("travel", "distance", "face", "where", "near", "far", "near_face", "far_face")
 
 
 def _put(into: Touches, rows: IntArray, touches: Touches) -> None:

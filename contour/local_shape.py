@@ -194,20 +194,23 @@ def _rows(
     face, distance = touches.face[index], touches.distance[index]
     span = touches.far[index] - touches.near[index]
     # On a smooth surface a facet that happens to lie along the beam is no line: its surface is bent.
-    third = np.full((len(index), 3), 1.0 / 3.0)
-    bend = np.einsum("ki,kij,kj->k", along, surface.shape_operator(face, third), along)
-    begin = base + touches.near[index, None] * along
+    ends = []
+    for place, at in ((touches.near, touches.near_face), (touches.far, touches.far_face)):
+        corners = topology.vertices[topology.corners[at[index]]]
+        ends.append(_barycentric(corners, base + place[index, None] * along, radius))
     near_face = touches.near_face[index]
-    corners = topology.vertices[topology.corners[near_face]]
-    on = _on_edges(_barycentric(corners, begin, radius))
-    creased = (on & topology.sharp[topology.face_edges[near_face]]).any(axis=1)
+    one, two = surface.normal(near_face, ends[0]), surface.normal(touches.far_face[index], ends[1])
+    two = np.where((np.einsum("kj,kj->k", one, two) < 0.0)[:, None], -two, two)
+    sag = np.abs(np.einsum("kj,kj->k", two - one, along)) * span / 8.0
+    creased = (_on_edges(ends[0]) & topology.sharp[topology.face_edges[near_face]]).any(axis=1)
     line = span > np.where(creased, LINE_FROM_CREASE, LINE)
-    line &= (np.abs(bend) * span**2 / 8.0 < LINE_SAG) & (touches.where[index] < Where.THROUGH)
+    line &= (sag < LINE_SAG) & (touches.where[index] < Where.THROUGH)
     distance = np.where(line, touches.near[index], distance)
     return _Rows(
         index=index,
         face=np.where(line, near_face, face),
-        where=touches.where[index],
+        # Tip or base may lie on the line as well; what is felt is its near end.
+        where=np.where(line, Where.EDGE_0, touches.where[index]),
         line=line,
         axis=base + distance[:, None] * along,
         distance=distance,

@@ -129,6 +129,27 @@ def test_beam_along_a_rod_touches_a_line_with_the_rods_profile():
     assert np.arctan2(contact.normal[0, 1], contact.normal[0, 0]) == pytest.approx(0.0007 / 0.006, abs=2e-3)
 
 
+@pytest.mark.parametrize("name", ["gear", "box", "cylinder"])
+@pytest.mark.parametrize("radius", [0.0, 0.4e-3])
+def test_upright_walls_are_lines_to_upright_beams(name, radius, mesh_file, rng):
+    """Whatever slivers a wall is cut into, with vertices rounded to single precision, and wherever the tip is."""
+    environment = MeshEnvironment.load(mesh_file(name))
+    low, high = environment.bounds
+    turn = rng.uniform(0, 2 * np.pi, 60)
+    way = -np.stack([np.cos(turn), np.sin(turn), np.zeros(60)], axis=1)
+    middle = 0.5 * (low + high)
+    reach = np.linalg.norm((high - low)[:2])
+    base = middle - reach * way + (high[2] - middle[2] + 0.1) * Z
+    # Every other beam ends on the wall, between its faces' corners.
+    length = np.where(np.arange(60) % 2 == 0, LENGTH, 0.1 + 0.63 * (high[2] - low[2]))
+    contact = environment.first_contact(
+        base, np.repeat(-Z, 60, axis=0), length, translation=reach * way, radius=radius
+    )
+    assert contact.line.all()
+    assert (contact.kind == TouchKind.EDGE).all()
+    np.testing.assert_allclose(contact.distance, 0.1, atol=1e-7)
+
+
 def test_a_facet_along_the_beam_is_no_line():
     """A facet of 13 mm that lies along the beam is no line: the drum it stands for is bent along the beam."""
     drum = trimesh.creation.cylinder(radius=0.05, height=0.1, sections=24)
