@@ -1,28 +1,8 @@
-"""The reduced rod: one scalar unknown, the slide along the profile, followed step by step through a push.
+"""Following the reduced rod through a push: Coulomb friction, step by step, until the contact slips off.
 
-The contact slides in the sensing plane on the body's silhouette and leans along the beam over its radius R;
-the beam is a spring that points from its own base tangent to the touching point; Coulomb friction acts on the
-lateral and longitudinal slip together, so that the memory of friction comes by itself. Lengths are in units
-of the distance s at touch.
-
-Frame at touch (fixed in the world during the push): e_t, e_n, e_y, where e_y is the beam, e_n the outer
-normal and e_t lies a quarter turn past e_n in the sense of the angles of the sensing plane (from +x_s to
-+z_s). A push with eps > 0 turns the beam towards -e_t, so the slide is negative.
-
-At the slide a, with the profile's point c, tangent t and normal n there, the lean zeta of the touching point
-P is the small-angle rod's, the root of a quadratic equation:
-
-    P = e_y + c + R ((cos zeta - 1) n - sin zeta e_y),   zeta so that the rod is tangent there,
-    X = P . t0,  W = P - X t0,  Y = |W|,  r = Y/X,  l = |P| (1 + r^2/10),  L = l + R zeta,
-
-t0 the base tangent. The force is along W + h t0, its axial part h = tau Y - 3/2 r Y (1 + tau^2) with the
-friction tau = mu dL/slip along a rod that is bent by 3/2 r; a solves Coulomb's law across,
-
-    F . t + mu (F . n) dA/slip = 0,   slip^2 = dA^2 + dL^2,
-
-dA and dL the step's increments of lateral slip, da - (t_end . t) dl, and of L. The base moment follows:
-|M| s/(3 EI) = (r/X) / (1 + (15/14) r^2 - tau r/5). docs/derivations.md derives this; a converged rod is in
-contour.elastica.
+Each step solves the reduced rod's contact condition (contour.reduced_rod) for the slide. Geometry and elastic
+force are nearly linear in the slide; friction, dA/slip, is not: the geometry is linearised, and the friction
+law is solved on it by Newton steps. Lengths are in units of the distance s at touch.
 """
 
 from __future__ import annotations
@@ -33,6 +13,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from contour.reduced_rod import (
+    NOTHING,
+    Conditions,
+    Memory,
+    Place,
+    Rows,
+    Turn,
+    conditions,
+    place,
+    residual,
+    slopes,
+)
 from contour.silhouette import Profile
 
 __all__ = ["Path", "follow", "pace"]
@@ -56,10 +48,8 @@ GROWTH = 1.4
 """How much longer each is than the one before."""
 BISECTIONS = 52
 """Halvings of the fallback: a double's precision."""
-NOTHING = 1e-40
-"""Square of a slip that counts as none [s^2]; keeps 0/0 out of a step that does not move."""
 LEAST_SLIP = 1e-20
-"""Its root."""
+"""Shortest slip that a bound divides by [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,336 +78,154 @@ class Path:
     """The contact has left the body; the values are those of a contact held where it last was."""
 
 
-class _Memory(NamedTuple):
-    """What friction remembers of the steps before.
+class _Law(NamedTuple):
+    """Coulomb's law across on linearised geometry, in y = |dA|:
 
-    The slip of a step counts from here. Where a stroke goes on, ``paid`` and ``slid`` hold in addition
-    w^2/(1 + 2w) of the slip of the step before, w being the ratio of the steps: then the direction of the
-    slip is that of its rate at the end of the step, to second order.
+    pull + slope y - h sense_tilt + (grip + grip_slope y - mu h lean) y/slip = 0,  slip^2 = y^2 + (still + pay
+    y)^2.
     """
 
-    b: FloatArray
-    length: FloatArray
-    """l at the last step."""
-    paid: FloatArray
-    """L to count from."""
-    slid: FloatArray
-    """Lateral slip to count from."""
-
-    def rows(self, index: NDArray[np.int64]) -> _Memory:
-        """The same for a selection."""
-        return _Memory(*(v[index] for v in self))
-
-
-class _Rows(NamedTuple):
-    """What stays the same along the push for some rows."""
-
-    sin_eps: FloatArray
-    cos_eps: FloatArray
-    friction: FloatArray
-    radius: FloatArray
-    profile: Profile
-
-    def rows(self, index: NDArray[np.int64]) -> _Rows:
-        """The same for a selection."""
-        return _Rows(
-            self.sin_eps[index],
-            self.cos_eps[index],
-            self.friction[index],
-            self.radius[index],
-            self.profile.rows(index),
-        )
+    sense: FloatArray
+    """Sign of dA."""
+    pull: FloatArray
+    """sense W . t at dA = 0."""
+    slope: FloatArray
+    sense_tilt: FloatArray
+    """Minus sense t0 . t."""
+    grip: FloatArray
+    """mu W . n at dA = 0."""
+    grip_slope: FloatArray
+    lean: FloatArray
+    """Minus t0 . n, with the contact's lean."""
+    still: FloatArray
+    """dL at dA = 0."""
+    pay: FloatArray
+    low: FloatArray
+    """Root with friction's initial slope, which is its steepest: no root is below."""
 
 
-class _Turn(NamedTuple):
-    """The base's attitude at a step: cos theta, sin theta sin eps, sin theta cos eps."""
-
-    cos: FloatArray
-    t: FloatArray
-    n: FloatArray
-    lift: FloatArray
-    """3/2 sin^2 theta."""
-    drag: FloatArray
-    """tau/20, as far as the stroke tells."""
-
-    def rows(self, index: NDArray[np.int64]) -> _Turn:
-        """The same for a selection."""
-        return _Turn(*(v[index] for v in self))
-
-
-class _Place(NamedTuple):
-    """The touching point at b, in the directions t and n there, and what follows from it."""
-
-    p_t: FloatArray
-    p_n: FloatArray
-    p_y: FloatArray
-    ahead: FloatArray
-    """X."""
-    tilt_t: FloatArray
-    """-t0 . t."""
-    tilt_n: FloatArray
-    """-t0 . n."""
-    zeta: FloatArray
-    spread: FloatArray
-    """Slope of the equation for zeta."""
-    drop: FloatArray
-    """R (1 - cos zeta)."""
-    lateral: FloatArray
-    """W . t."""
-    normal: FloatArray
-    """W . n."""
-    square: FloatArray
-    """|P|^2."""
-    cos: FloatArray
-    sin: FloatArray
-    curvature: FloatArray
-    speed: FloatArray
-
-
-def _place(rows: _Rows, turn: _Turn, b: FloatArray) -> _Place:
-    along, out, cos, sin, curvature, speed = rows.profile.at(b)
-    tilt_t = turn.t * cos
-    tilt_t -= turn.n * sin
-    tilt_n = turn.t * sin
-    tilt_n += turn.n * cos
-    p_t = along * cos
-    p_t -= out * sin
-    p_n = along * sin
-    p_n += out * cos
-    level = turn.cos - turn.t * along
-    level -= turn.n * out
-    # zeta: tan(bend) = tilt_n + cos zeta, times X, a quadratic but for terms that the edge's own lean stands
-    # in for.
-    level_tilt = level * tilt_n
-    depth = level_tilt + p_n
-    rho = depth / level
-    edge = 1.5 * rho
-    edge -= tilt_n
-    constant = (3.0 / 7.0) * rho
-    constant -= turn.drag
-    constant *= rho
-    constant += 1.0
-    constant *= depth
-    constant *= 1.5
-    constant -= level_tilt
-    rho = edge * edge
-    rho *= 1.0 / 3.0
-    rho += turn.lift
-    rho *= edge
-    constant -= rho
-    spread = (0.5 * rows.radius) * tilt_n
-    spread += level
-    spread *= turn.cos
-    zeta = (4.0 * turn.cos * turn.cos - 3.0) * rows.radius
-    zeta *= constant
-    root = spread * spread
-    root -= zeta
-    np.maximum(root, 0.0, out=root)
-    np.sqrt(root, out=root)
-    root += spread
-    zeta = constant + constant
-    zeta /= root
-    shift = rows.radius * zeta
-    drop = shift * zeta
-    drop *= 0.5
-    shift -= drop * zeta / 3.0
-    p_n -= drop
-    ahead = level - turn.cos * shift
-    ahead += tilt_n * drop
-    lateral = ahead * tilt_t
-    lateral += p_t
-    normal = ahead * tilt_n
-    normal += p_n
-    p_y = 1.0 - shift
-    square = p_t * p_t
-    square += p_n * p_n
-    square += p_y * p_y
-    return _Place(
-        p_t,
-        p_n,
-        p_y,
-        ahead,
-        tilt_t,
-        tilt_n,
-        zeta,
-        spread,
-        drop,
-        lateral,
-        normal,
-        square,
-        cos,
-        sin,
-        curvature,
-        speed,
+def _law(rows: Rows, turn: Turn, p: Place, c: Conditions) -> _Law:
+    mu = rows.friction
+    rise = slopes(rows, turn, p, c)
+    axial = mu * np.sign(c.paid)
+    level = p.lateral - rise.lateral * c.slid
+    sense = -np.sign(level - (axial * c.aside - c.bent * (1.0 + axial * axial)) * p.tilt_t)
+    pull = sense * level
+    pay = rise.paid
+    pay *= sense
+    y = sense * c.slid
+    grip_slope = mu * rise.normal
+    grip_slope *= sense
+    grip = mu * p.normal
+    grip -= grip_slope * y
+    still = c.paid - pay * y
+    low = grip / (np.abs(still) + LEAST_SLIP)
+    low += rise.lateral
+    np.divide(-pull, low, out=low)
+    np.maximum(low, 0.0, out=low)
+    return _Law(
+        sense=sense,
+        pull=pull,
+        slope=rise.lateral,
+        sense_tilt=sense * p.tilt_t,
+        grip=grip,
+        grip_slope=grip_slope,
+        lean=p.tilt_n + p.zeta,
+        still=still,
+        pay=pay,
+        low=low,
     )
 
 
-class _Conditions(NamedTuple):
-    """Coulomb's law across at a place, in the slips since the last step."""
-
-    slid: FloatArray
-    """dA."""
-    paid: FloatArray
-    """dL."""
-    aside: FloatArray
-    """Y."""
-    bent: FloatArray
-    """3/2 r Y, the axial part of a force across the end of the bent rod."""
-    length: FloatArray
-    """l."""
-    secant: FloatArray
-    """|P|/X."""
+def _first(law: _Law, y_old: FloatArray) -> FloatArray:
+    """Where to start: the highest of the last slip and the roots with full friction and with its initial
+    slope.
+    """
+    y = -law.pull
+    y -= law.grip
+    y /= law.slope
+    np.maximum(y, y_old, out=y)
+    # Where the body curves away faster than the rod follows, the law has a second root: stay this side of it.
+    np.copyto(y, 0.0, where=law.slope <= 0.0)
+    np.maximum(y, law.low, out=y)
+    return y
 
 
-def _conditions(rows: _Rows, p: _Place, b: FloatArray, before: _Memory) -> _Conditions:
-    chord = np.sqrt(p.square)
-    secant = chord / p.ahead
-    length = secant * secant
-    r2 = length - 1.0
-    bent = (1.5 * p.ahead) * r2
-    aside = p.ahead * np.sqrt(np.maximum(r2, 0.0))
-    length *= 0.1
-    length += 0.9
-    length *= chord
-    paid = rows.radius * p.zeta
-    paid += length
-    paid -= before.paid
-    slid = p.curvature * p.drop
-    np.subtract(1.0, slid, out=slid)
-    slid *= rows.profile.chord(b, before.b)
-    # The end tangent's part across, -tilt_t + 3/2 W . t/X, carries the rod sideways as it pays out.
-    carry = 1.5 * p.lateral
-    carry /= p.ahead
-    carry -= p.tilt_t
-    carry *= length - before.length
-    slid -= carry
-    slid -= before.slid
-    return _Conditions(slid, paid, aside, bent, length, secant)
+def _newton(
+    law: _Law, mu: FloatArray, c: Conditions, y: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """One Newton step on the law: the new y, the step and the slip."""
+    along = law.pay * y
+    along += law.still
+    slip2 = along * along
+    slip2 += y * y
+    slip2 += NOTHING
+    slip = np.sqrt(slip2)
+    slip2 *= slip
+    lateral = y / slip
+    tau = along / slip
+    tau *= mu
+    axial = tau * tau
+    axial += 1.0
+    axial *= c.bent
+    np.subtract(tau * c.aside, axial, out=axial)
+    normal = law.grip_slope * y
+    normal += law.grip
+    normal -= mu * axial * law.lean
+    value = law.slope * y
+    value += law.pull
+    value -= axial * law.sense_tilt
+    value += normal * lateral
+    # d(y/slip)/dy = still along/slip^3, d(along/slip)/dy = -still y/slip^3.
+    still_slip = law.still / slip2
+    along *= still_slip
+    along *= normal
+    along += law.slope
+    along += law.grip_slope * lateral
+    tau *= -2.0 * c.bent
+    tau += c.aside
+    tau *= mu
+    still_slip *= y
+    tau *= still_slip
+    tau *= law.sense_tilt + mu * lateral * law.lean
+    along += tau
+    value /= along
+    y = y - value
+    np.maximum(y, 0.5 * law.low, out=y)
+    return y, value, slip
 
 
 def _improve(
-    rows: _Rows, turn: _Turn, b: FloatArray, before: _Memory, inner: int
+    rows: Rows, turn: Turn, b: FloatArray, before: Memory, inner: int
 ) -> tuple[FloatArray, FloatArray]:
-    """A better b, and how far it still was, squared and compared with the slip (relative to the second order
+    """A better b, and how far it still was, squared and compared with the slip (the second order that is
     left).
 
-    Geometry and elastic force are nearly linear in the slide; friction, dA/slip, is not. So the geometry is
-    linearised, and the friction law is solved on it by Newton steps, which come to the root of a concave
-    function from below, with y = |dA| as unknown.
+    The law is a concave function of y, so that Newton steps come to its root from below.
     """
-    p = _place(rows, turn, b)
-    c = _conditions(rows, p, b, before)
-    mu, radius = rows.friction, rows.radius
-    # Derivatives along the profile.
-    lean = 1.5 * p.curvature * p.lateral
-    lean -= p.tilt_t * (p.curvature * p.ahead + 0.5 * p.tilt_n)
-    lean /= p.spread
-    lean *= radius
-    forward = turn.cos * lean
-    forward += p.tilt_t
-    slope_t = p.curvature * p.normal
-    slope_t += forward * p.tilt_t
-    np.subtract(1.0, slope_t, out=slope_t)
-    slope_n = p.curvature * p.lateral
-    slope_n -= forward * p.tilt_n
-    secant2 = c.secant * c.secant
-    pay = p.p_t - lean
-    pay /= p.ahead * c.secant
-    pay *= 0.3 * secant2 + 0.9
-    forward *= 0.2 * secant2 * c.secant
-    pay += forward
-    pay += lean
-    # The law in y: sense p_t-force + friction (force_n) y/slip = 0, from its values at no lateral slip.
-    axial = mu * np.sign(c.paid)
-    level = p.lateral - slope_t * c.slid
-    sense = -np.sign(level - (axial * c.aside - c.bent * (1.0 + axial * axial)) * p.tilt_t)
-    pull = sense * level
-    sense_tilt = sense * p.tilt_t
-    lean_n = p.tilt_n + p.zeta
-    grip_slope = mu * slope_n
-    grip_slope *= sense
-    pay *= sense
-    y_old = sense * c.slid
-    grip = mu * p.normal
-    grip -= grip_slope * y_old
-    still = c.paid - pay * y_old
-    low = grip / (np.abs(still) + LEAST_SLIP)
-    low += slope_t
-    np.divide(-pull, low, out=low)
-    np.maximum(low, 0.0, out=low)
-    y = -pull
-    y -= grip
-    y /= slope_t
-    np.maximum(y, y_old, out=y)
-    # Where the body curves away faster than the rod follows, the law has a second root: stay this side of it.
-    np.copyto(y, 0.0, where=slope_t <= 0.0)
-    np.maximum(y, low, out=y)
-    low *= 0.5
+    p = place(rows, turn, b)
+    c = conditions(rows, p, b, before)
+    law = _law(rows, turn, p, c)
+    y_old = law.sense * c.slid
+    y = _first(law, y_old)
     for _ in range(inner):
-        along = pay * y
-        along += still
-        slip2 = along * along
-        slip2 += y * y
-        slip2 += NOTHING
-        slip = np.sqrt(slip2)
-        slip2 *= slip
-        lateral = y / slip
-        tau = along / slip
-        tau *= mu
-        axial = tau * tau
-        axial += 1.0
-        axial *= c.bent
-        np.subtract(tau * c.aside, axial, out=axial)
-        normal = grip_slope * y
-        normal += grip
-        normal -= mu * axial * lean_n
-        value = slope_t * y
-        value += pull
-        value -= axial * sense_tilt
-        value += normal * lateral
-        # d(y/slip)/dy = still along/slip^3, d(along/slip)/dy = -still y/slip^3.
-        still_slip = still / slip2
-        along *= still_slip
-        along *= normal
-        along += slope_t
-        along += grip_slope * lateral
-        tau *= -2.0 * c.bent
-        tau += c.aside
-        tau *= mu
-        still_slip *= y
-        tau *= still_slip
-        tau *= sense_tilt + mu * lateral * lean_n
-        along += tau
-        value /= along
-        y -= value
-        np.maximum(y, low, out=y)
-    value *= value
-    value /= slip
+        y, step, slip = _newton(law, rows.friction, c, y)
+    step *= step
+    step /= slip
     y_old -= y
-    moved = y_old * sense
+    moved = y_old * law.sense
     y_old *= y_old
-    value += y_old
+    step += y_old
     moved *= p.speed
-    return b - moved, value
+    return b - moved, step
 
 
-def _residual(rows: _Rows, turn: _Turn, b: FloatArray, before: _Memory) -> tuple[FloatArray, FloatArray]:
-    """F . t + mu (F . n) dA/slip at b, and W . n."""
-    p = _place(rows, turn, b)
-    c = _conditions(rows, p, b, before)
-    slip = np.sqrt(c.slid * c.slid + c.paid * c.paid + NOTHING)
-    tau = rows.friction * c.paid / slip
-    axial = tau * c.aside - c.bent * (1.0 + tau * tau)
-    force_n = p.normal - axial * (p.tilt_n + p.zeta)
-    return p.lateral - axial * p.tilt_t + rows.friction * force_n * c.slid / slip, p.normal
-
-
-def _search(rows: _Rows, turn: _Turn, before: _Memory, depth: FloatArray) -> tuple[FloatArray, BoolArray]:
+def _search(rows: Rows, turn: Turn, before: Memory, depth: FloatArray) -> tuple[FloatArray, BoolArray]:
     """The first equilibrium past the last position, by growing brackets and bisection; False where there is
     none.
     """
     start = before.b
-    first, _ = _residual(rows, turn, start, before)
+    first, _ = residual(rows, turn, start, before)
     sense = -np.sign(first)
     width = FIRST_BRACKET * depth
     longest = rows.profile.reach()
@@ -426,7 +234,7 @@ def _search(rows: _Rows, turn: _Turn, before: _Memory, depth: FloatArray) -> tup
     found = first == 0.0
     lost = np.zeros_like(found)
     for _ in range(BRACKETS):
-        value, normal = _residual(rows, turn, high, before)
+        value, normal = residual(rows, turn, high, before)
         lost |= ~found & ((normal <= 0.0) | ~rows.profile.within(high))
         found |= ~lost & (value * sense >= 0.0)
         going = ~(found | lost)
@@ -437,7 +245,7 @@ def _search(rows: _Rows, turn: _Turn, before: _Memory, depth: FloatArray) -> tup
         high = np.where(going, high + sense * width, high)
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        value, _ = _residual(rows, turn, middle, before)
+        value, _ = residual(rows, turn, middle, before)
         past = value * sense >= 0.0
         high = np.where(past, middle, high)
         low = np.where(past, low, middle)
@@ -445,7 +253,7 @@ def _search(rows: _Rows, turn: _Turn, before: _Memory, depth: FloatArray) -> tup
 
 
 def _solve(
-    rows: _Rows, turn: _Turn, guess: FloatArray, before: _Memory, depth: FloatArray
+    rows: Rows, turn: Turn, guess: FloatArray, before: Memory, depth: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """The position at the end of one step: Newton from the guess on all rows, then on the few that need more.
 
@@ -475,9 +283,9 @@ class _Stragglers(NamedTuple):
     """Rows that have not settled, with all that their next step needs."""
 
     which: NDArray[np.int64]
-    rows: _Rows
-    turn: _Turn
-    before: _Memory
+    rows: Rows
+    turn: Turn
+    before: Memory
     depth: FloatArray
 
     def take(self, keep: NDArray[np.int64]) -> _Stragglers:
@@ -510,14 +318,14 @@ def follow(
     for first in range(0, n, CHUNK):
         part = slice(first, min(first + CHUNK, n))
         index = np.arange(part.start, part.stop)
-        rows = _Rows(np.sin(eps[part]), np.cos(eps[part]), friction[part], radius[part], profile.rows(index))
+        rows = Rows(np.sin(eps[part]), np.cos(eps[part]), friction[part], radius[part], profile.rows(index))
         # Iterates of a push that runs away may overflow; they are caught by where they land.
         with np.errstate(all="ignore"):
             _follow_rows(rows, thetas[:, part], {k: v[:, part] for k, v in fields.items()}, slipped[:, part])
     return Path(slipped_off=slipped, **fields)
 
 
-def _follow_rows(rows: _Rows, thetas: FloatArray, out: dict[str, FloatArray], slipped: BoolArray) -> None:
+def _follow_rows(rows: Rows, thetas: FloatArray, out: dict[str, FloatArray], slipped: BoolArray) -> None:
     n = thetas.shape[1]
     zero = np.zeros(n)
     b, length, paid = zero, np.ones(n), np.ones(n)
@@ -528,7 +336,7 @@ def _follow_rows(rows: _Rows, thetas: FloatArray, out: dict[str, FloatArray], sl
         sine = np.sin(theta)
         moved = theta - theta_before
         w = pace(moved, moved_before)
-        turn = _Turn(
+        turn = Turn(
             np.cos(theta),
             sine * rows.sin_eps,
             sine * rows.cos_eps,
@@ -536,7 +344,7 @@ def _follow_rows(rows: _Rows, thetas: FloatArray, out: dict[str, FloatArray], sl
             0.05 * rows.friction * np.where(w > 0.0, along, np.sign(moved)),
         )
         carry = w * w / (1.0 + 2.0 * w)
-        before = _Memory(b, length, paid + carry * pay, carry * slid)
+        before = Memory(b, length, paid + carry * pay, carry * slid)
         guess = b + rate * (w * moved_before)
         if free.size == n:
             new, on_body = _solve(rows, turn, guess, before, theta)
@@ -549,7 +357,7 @@ def _follow_rows(rows: _Rows, thetas: FloatArray, out: dict[str, FloatArray], sl
             gone[free] |= ~on_body
         if gone.any():
             new = np.where(gone, b, new)
-        p = _place(rows, turn, new)
+        p = place(rows, turn, new)
         pulled = np.flatnonzero((p.normal <= 0.0) & ~gone)
         if pulled.size:
             # A root at which the body would have to pull: look for one further on, or the contact is lost.
@@ -557,8 +365,8 @@ def _follow_rows(rows: _Rows, thetas: FloatArray, out: dict[str, FloatArray], sl
                 rows.rows(pulled), turn.rows(pulled), before.rows(pulled), theta[pulled]
             )
             gone[pulled] = ~on_body
-            p = _place(rows, turn, new)
-        c = _conditions(rows, p, new, before)
+            p = place(rows, turn, new)
+        c = conditions(rows, p, new, before)
         along = c.paid / np.sqrt(c.slid * c.slid + c.paid * c.paid + NOTHING)
         slid, pay = c.slid + before.slid, c.paid + before.paid - paid
         paid, length = paid + pay, c.length

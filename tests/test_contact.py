@@ -44,23 +44,23 @@ def pushes():
 
 
 def test_pushes_near_the_normal_match_the_truth(pushes):
-    """|eps| below 20 deg, q at least 2 or flat: the ratio within 0.05 % rms and delta within 0.06 deg rms."""
+    """|eps| below 20 deg, q at least 2 or flat: the ratio within 0.02 % rms and delta within 0.02 deg rms."""
     table, q, ratio, delta = pushes
     good = (np.abs(table["eps_rad"]) < np.radians(20.0)) & (q >= 2.0)
     assert good.sum() > 50
-    assert _rms(ratio[good]) < 0.0005
-    assert _rms(delta[good]) < np.radians(0.06)
+    assert _rms(ratio[good]) < 0.0002
+    assert _rms(delta[good]) < np.radians(0.02)
 
 
 def test_all_pushes_match_the_truth(pushes):
-    """All of the table: 95 % within 0.25 % and 0.4 deg."""
+    """All of the table: 95 % within 0.07 % and 0.1 deg."""
     _, _, ratio, delta = pushes
-    assert np.quantile(np.abs(ratio), 0.95) < 0.0025
-    assert np.quantile(np.abs(delta), 0.95) < np.radians(0.4)
+    assert np.quantile(np.abs(ratio), 0.95) < 0.0007
+    assert np.quantile(np.abs(delta), 0.95) < np.radians(0.1)
 
 
 def test_cycles_match_the_truth():
-    """40 pushes out and back: moment within 0.03 % rms of each cycle's largest, delta within 0.08 deg rms."""
+    """40 pushes out and back: moment within 0.005 % rms of each cycle's largest, delta within 0.03 deg rms."""
     table = _truth("cycles.csv").reshape(40, 15)
     one = {name: table[name][:, 0] for name in ("eps_rad", "mu", "Ra_over_s", "Rl_over_s")}
     cycle = contact.push_cycle(
@@ -72,8 +72,8 @@ def test_cycles_match_the_truth():
         radius_across=one["Rl_over_s"],
     )
     largest = table["moment_angle_rad"].max(axis=1, keepdims=True)
-    assert _rms((cycle.moment_angle - table["moment_angle_rad"]) / largest) < 0.0003
-    assert _rms(cycle.delta - table["delta_rad"]) < np.radians(0.08)
+    assert _rms((cycle.moment_angle - table["moment_angle_rad"]) / largest) < 0.00005
+    assert _rms(cycle.delta - table["delta_rad"]) < np.radians(0.03)
     assert not cycle.slipped_off.any()
 
 
