@@ -18,7 +18,7 @@ P is the small-angle rod's, the root of a quadratic equation:
 t0 the base tangent. The force is along W + h t0, its axial part h = tau Y - 3/2 r Y (1 + tau^2) with the
 friction tau = mu dL/slip along a rod that is bent by 3/2 r; a solves Coulomb's law across,
 
-    F . t + mu (F . n) dA/slip = 0,   slip^2 = dA^2 + dL^2,
+    F . t + mu (F . n') dA/slip = 0,   slip^2 = dA^2 + dL^2,   n' = n cos zeta - e_y sin zeta,
 
 dA and dL the step's increments of lateral slip, da - (t_end . t) dl, and of L. The base moment follows:
 |M| s/(3 EI) = (r/X) / (1 + (15/14) r^2 - tau r/5). docs/derivations.md derives this; a converged rod is in
@@ -131,6 +131,8 @@ class Place(NamedTuple):
     """W . t."""
     normal: FloatArray
     """W . n."""
+    press: FloatArray
+    """W along the normal where the rod touches, n cos zeta - e_y sin zeta."""
     square: FloatArray
     """|P|^2."""
     cos: FloatArray
@@ -195,6 +197,12 @@ def place(rows: Rows, turn: Turn, b: FloatArray) -> Place:
     normal = ahead * tilt_n
     normal += p_n
     p_y = 1.0 - shift
+    # Minus what the lean takes: zeta W_y + zeta^2/2 W . n.
+    press = 0.5 * zeta * normal
+    press -= ahead * turn.cos
+    press += p_y
+    press *= zeta
+    np.subtract(normal, press, out=press)
     square = p_t * p_t
     square += p_n * p_n
     square += p_y * p_y
@@ -210,6 +218,7 @@ def place(rows: Rows, turn: Turn, b: FloatArray) -> Place:
         drop,
         lateral,
         normal,
+        press,
         square,
         cos,
         sin,
@@ -297,11 +306,11 @@ def slopes(rows: Rows, turn: Turn, p: Place, c: Conditions) -> Slopes:
 
 
 def residual(rows: Rows, turn: Turn, b: FloatArray, before: Memory) -> tuple[FloatArray, FloatArray]:
-    """F . t + mu (F . n) dA/slip at b, and W . n."""
+    """F . t + mu (F . n') dA/slip at b, and W . n."""
     p = place(rows, turn, b)
     c = conditions(rows, p, b, before)
     slip = np.sqrt(c.slid * c.slid + c.paid * c.paid + NOTHING)
     tau = rows.friction * c.paid / slip
     axial = tau * c.aside - c.bent * (1.0 + tau * tau)
-    force_n = p.normal - axial * (p.tilt_n + p.zeta)
+    force_n = p.press - axial * (p.tilt_n + p.zeta)
     return p.lateral - axial * p.tilt_t + rows.friction * force_n * c.slid / slip, p.normal

@@ -116,7 +116,7 @@ def _law(rows: Rows, turn: Turn, p: Place, c: Conditions) -> _Law:
     y = sense * c.slid
     grip_slope = mu * rise.normal
     grip_slope *= sense
-    grip = mu * p.normal
+    grip = mu * p.press
     grip -= grip_slope * y
     still = c.paid - pay * y
     low = grip / (np.abs(still) + LEAST_SLIP)

@@ -203,7 +203,7 @@ def test_mirror_image_is_answered_with_the_mirror_image(rng):
 
 
 def test_reduced_rod_is_near_on_both_strokes(rng):
-    """The rung below in its good range: 0.01 % rms in moment and 0.04 deg rms in delta."""
+    """The rung below in its good range: 0.01 % rms in moment and 0.025 deg rms in delta."""
     n = 150
     eps, mu, theta = rng.uniform(-0.3, 0.3, n), rng.uniform(0.05, 0.5, n), rng.uniform(0.02, 0.08, n)
     args = {
@@ -216,7 +216,7 @@ def test_reduced_rod_is_near_on_both_strokes(rng):
     near = contact.push_cycle(eps, theta[:, None] * OUT_AND_BACK, **args)
     largest = exact.moment_angle.max(axis=1, keepdims=True)
     assert np.sqrt(np.mean(((near.moment_angle - exact.moment_angle) / largest) ** 2)) < 1e-4
-    assert np.sqrt(np.mean((near.delta - exact.delta) ** 2)) < np.radians(0.04)
+    assert np.sqrt(np.mean((near.delta - exact.delta) ** 2)) < np.radians(0.025)
 
 
 def test_every_push_converges_or_has_slipped_off(rng):
