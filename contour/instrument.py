@@ -248,6 +248,9 @@ class Instrument(Protocol):
         ...
 
 
+SAME_DIRECTION = 1e-6
+"""Directions of a replayed push may differ by the rounding of another machine, no more [rad]."""
+
 _Reading = ZeroReading | ApproachReading | PushReading | FloatArray
 _R = TypeVar("_R", bound=_Reading)
 _KINDS: dict[str, type[ZeroReading | ApproachReading | PushReading]] = {
@@ -439,6 +442,11 @@ class ReplayInstrument:
         """As :meth:`Instrument.push`; the watch was heard when the log was made."""
         reading = self._reading("push", which)
         assert isinstance(reading, PushReading)
+        if not np.allclose(reading.phi, phi, rtol=0.0, atol=SAME_DIRECTION):
+            raise InstrumentError(
+                f"call {self._next - 1} of the log pushes another way than asked: replay it with the strategy and "
+                "the version it was made with"
+            )
         return reading
 
     def release(self, which: IntArray, clearance: FloatArray) -> FloatArray:
