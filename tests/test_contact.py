@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from contour import contact
+from contour import contact, slip
 from contour.errors import UsageError
 from contour.response import refine
 from contour.silhouette import ArcProfile
@@ -163,6 +163,21 @@ def test_slide_solves_the_contact_condition(eps, mu, radius, kappa):
     )
     slow = _slow_path(eps, thetas, mu, radius, kappa)
     assert np.allclose(path.slide[:, 0], slow, atol=1e-4 * np.abs(slow).max())
+
+
+def test_search_finds_what_newton_finds(monkeypatch, rng):
+    """With Newton's answers refused, the brackets and bisections of the fallback walk the same path."""
+    n = 40
+    eps, mu, radius = rng.uniform(-0.6, 0.6, n), rng.uniform(0.05, 0.5, n), rng.uniform(0.0, 0.5, n)
+    thetas = np.outer(0.06 * OUT_AND_BACK, np.ones(n))
+    args = (eps, thetas, mu, radius, ArcProfile(rng.uniform(-3.0, 3.0, n)))
+    newton = follow(*args)
+    monkeypatch.setattr(slip, "SETTLED", -1.0)
+    searched = follow(*args)
+    assert not searched.slipped_off.any()
+    # Newton stops where its next step would change the slide by about 1e-8 of the depth.
+    assert np.allclose(newton.slide, searched.slide, atol=2e-8)
+    assert np.allclose(newton.delta, searched.delta, atol=2e-6)
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.3, 1.0])
@@ -406,13 +421,13 @@ def test_zero_angle_has_the_limit_of_small_ones():
     assert float(at.compliance_ratio) == pytest.approx(float(near.compliance_ratio), rel=1e-6)
 
 
-def test_refine_keeps_the_angles_asked_for():
-    """Steps are split, turns are eased, and what was asked for is found again."""
-    angles = np.array([[0.08], [0.06], [0.0601]])
+def test_refine_keeps_the_angles_asked_for(rng):
+    """Steps are split, turns are eased, and what was asked for is found again to the bit."""
+    angles = np.array([[0.08], [0.06], [0.0601]]) * rng.uniform(0.5, 1.0, 100)
     finer, wanted = refine(angles, 8)
     assert np.array_equal(finer[wanted], angles)
-    assert np.abs(np.diff(finer[:, 0])).max() <= 0.01 * (1 + 1e-9)
-    assert np.all(np.diff(finer[: wanted[0] + 1, 0]) > 0)
+    assert np.all(np.abs(np.diff(finer, axis=0)).max(axis=0) <= angles[0] / 8 * (1 + 1e-9))
+    assert np.all(np.diff(finer[: wanted[0] + 1], axis=0) > 0)
 
 
 def test_tip_on_an_upright_surface_answers_nearly_as_a_side():
