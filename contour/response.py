@@ -119,7 +119,6 @@ def refine(
     start = angles - steps
     rows = [start[i] + steps[i] * p for i, part in enumerate(parts) for p in part[:, None]]
     finer = np.stack(rows)
-    finer[wanted] = angles
     return finer, wanted
 
 
