@@ -42,6 +42,7 @@ from contour.plan import Plan, default_plan
 from contour.regions import REGIONS, analytic_truth
 from contour.scan import Observed, follow
 from contour.sensing import Strategy
+from contour.smoothing import smooth_normals
 from contour.tracing import Tracer
 from contour.virtual import TrueContact
 
@@ -55,6 +56,9 @@ APART = 1.0
 SMOOTH = ("sphere", "cylinder", "torus", "vase", "blob")
 CORNERED = ("box", "gear", "rod12", "rod2")
 OTHERS = ("shaft", "bracket", "fin", "mug")
+
+WITHIN = 1.959963984540054
+"""Half width of the 95 % interval in sigmas."""
 
 STRATEGIES: dict[str, Callable[[int, Antenna, Mount], Strategy]] = {
     "model": ModelStrategy,
@@ -78,6 +82,10 @@ class Outcome:
     facets: FloatArray
     """(n,) rad, normal of the mesh off that of the shape: an error of the simulation."""
     errors: Errors
+    smoothed: FloatArray
+    """(n,) rad, error of the normal after smoothing along the contour."""
+    smoothed_sigma: FloatArray
+    """(n,) rad, its standard deviation as claimed."""
     first: NDArray[np.bool_]
     """(n,) the first contact of its contour."""
     phi: FloatArray
@@ -103,6 +111,8 @@ class Outcome:
             truth=self.truth.take(np.flatnonzero(rows)),
             facets=self.facets[rows],
             errors=errors,
+            smoothed=self.smoothed[rows],
+            smoothed_sigma=self.smoothed_sigma[rows],
             first=self.first[rows],
             phi=self.phi[rows],
             angle=self.angle[rows],
@@ -203,11 +213,14 @@ def measure(
     # Bodies of the scene are numbered in the order in which they were added.
     frames = rotation[contacts.which]
     truth = analytic_truth(mesh_truth, frames, shapes.load(name), places[mesh_truth.body])
+    smoothed = smooth_normals(contacts, closed=trace.closed)
     return Outcome(
         contacts=contacts,
         truth=truth,
         facets=wrap_angle(mesh_truth.outward - truth.outward),
         errors=errors_of(contacts, truth, antenna.beam.length),
+        smoothed=wrap_angle(smoothed.outward - truth.outward),
+        smoothed_sigma=smoothed.sigma,
         first=np.concatenate(first),
         phi=np.concatenate(last)[:, 0],
         angle=np.concatenate(last)[:, 1],
@@ -231,6 +244,9 @@ COLUMNS = {
     "n med deg": ".2f",
     "n p95 deg": ".2f",
     "n cover": ".3f",
+    "smooth med": ".2f",
+    "smooth p95": ".2f",
+    "smooth cover": ".3f",
     "wrong": "d",
 }
 """Columns of the table and their formats."""
@@ -241,6 +257,9 @@ def row_of(outcome: Outcome) -> dict[str, float | int | None]:
     values = figures(outcome.contacts, outcome.errors)
     known = values["s_error_rms_rel"] is not None
     first = outcome.contacts.pushes[outcome.first]
+    good = outcome.contacts.good
+    smoothed = np.rad2deg(np.abs(outcome.smoothed[good]))
+    within = np.abs(outcome.smoothed[good]) <= WITHIN * outcome.smoothed_sigma[good]
 
     def scaled(key: str, factor: float = 1.0) -> float | None:
         return factor * float(values[key]) if known else None
@@ -256,6 +275,9 @@ def row_of(outcome: Outcome) -> dict[str, float | int | None]:
         "n med deg": scaled("normal_error_median_rad", 180.0 / np.pi),
         "n p95 deg": scaled("normal_error_p95_rad", 180.0 / np.pi),
         "n cover": scaled("coverage_95_normal"),
+        "smooth med": float(np.median(smoothed)) if known else None,
+        "smooth p95": float(np.quantile(smoothed, 0.95)) if known else None,
+        "smooth cover": float(within.mean()) if known else None,
         "wrong": values["silently_wrong"] if known else None,
     }
 

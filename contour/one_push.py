@@ -47,6 +47,8 @@ FALL = 0.5
 """Share of its largest moment below which the end of an out stroke tells that the beam slid off the body."""
 LAST_BINS = 2
 """Bins at the end of the out stroke whose force gives the direction psi."""
+BEYOND = 1.05
+"""Share of the beam's length from which on a distance is impossible."""
 TIP_SIGMAS = 3.0
 """A contact within this many sigma_s of the beam's length may be its tip."""
 
@@ -226,6 +228,7 @@ class Ledger:
         axis = touch_position(touch, result.distance, antenna)
         point, normal = locate(touch, axis, result.distance, result.outward, antenna, mount)
         near_tip = np.abs(result.distance - antenna.beam.length) < TIP_SIGMAS * result.distance_sigma
+        beyond = result.distance > BEYOND * antenna.beam.length
         n = len(touch)
         contacts = Contacts(
             which=touch.which,
@@ -242,7 +245,7 @@ class Ledger:
             curvature_across=np.zeros(n),
             kind=np.where(near_tip, np.int8(Kind.TIP), np.int8(Kind.SIDE)),
             pushes=result.pushes,
-            flags=result.flags,
+            flags=result.flags | np.where(beyond, Flag.UNRESOLVED, Flag.NONE),
             machine_time=np.zeros(n),
             sequence=self.contacts[touch.which].copy(),
         )

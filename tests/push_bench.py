@@ -6,10 +6,11 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from contour import contact as reduced
+from contour import elastica
 from contour.antenna import Antenna, Sensor
 from contour.contacts import Contacts, Kind
 from contour.frames import Mount
-from contour.ladder import Ladder
 from contour.machine import MachineModel, NoiseKey
 from contour.sensing import Action, Strategy, Touch
 from contour.virtual import TrueContact, VirtualAntenna
@@ -54,13 +55,27 @@ class Bench:
     """How far off the true normal the contour leads to expect it [rad]."""
     elevation: float = 0.0
     """phi2, by which the beam points upwards [rad]."""
+    exact: bool = False
+    """Whether the exact rod answers the pushes, and not the reduced one."""
 
     def __post_init__(self) -> None:
         self.antenna = Antenna(sensor=self.sensor)
         self.mount = Mount.identity()
         self.machine = MachineModel(sensor=self.sensor, initial_offset=0.0)
-        self._virtual = VirtualAntenna(self.antenna, self.machine, self.mount, Ladder("reduced", 1e-3))
+        self._virtual = VirtualAntenna(self.antenna, self.machine, self.mount, self._answer)
         self.pushes: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def _answer(self, contact, eps, path, rows):
+        model = elastica if self.exact else reduced
+        cycle = model.push_cycle(
+            eps,
+            path,
+            distance=contact.distance,
+            friction=contact.friction,
+            radius_along=contact.radius_along,
+            radius_across=contact.radius_across,
+        )
+        return np.where(cycle.slipped_off, 0.0, cycle.moment_angle), cycle.delta
 
     def touch(self) -> Touch:
         """The touches, as an approach along the inner normals would leave them."""

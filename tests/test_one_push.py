@@ -47,6 +47,14 @@ def test_a_push_that_does_not_slide_is_flagged():
     assert found.flags[0] == Flag.UNRESOLVED
 
 
+def test_a_distance_beyond_the_beam_is_flagged():
+    """80 deg off the normal 3 EI C is far too long, and the assumed alpha does not bring it back."""
+    truth = true_contacts(1, distance=0.18, friction=np.tan(np.deg2rad(25.0)))
+    found = Bench(truth, expected_off=np.deg2rad(55.0)).localise(one_push(Bench(truth)))
+    assert found.distance[0] > 0.22
+    assert found.flags[0] & Flag.UNRESOLVED
+
+
 def test_a_push_past_the_body_is_lost():
     """A push that feels nothing is counted and flagged, and leaves what was expected."""
     bench = Bench(true_contacts(1), expected_off=np.pi)
