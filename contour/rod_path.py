@@ -23,7 +23,7 @@ __all__ = ["RodPath", "follow_rod"]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-CHUNK = 256
+CHUNK = 1024
 """Rows worked on at once; the Jacobian's four evaluations are stacked beside them."""
 ITERATIONS = 12
 """Newton steps before a row is followed in smaller steps."""
