@@ -443,7 +443,7 @@ class Tracer:
         one = (stage == 1)[:, None]
         start = np.where(zero, fore, self._position[w])
         heading = np.where(zero, -normal, np.where(one, -tangent, normal))
-        travel = np.select([stage == 0, stage == 1], [height + depth, 1.6 * step + clear], depth + clear)
+        travel = np.select([stage == 0, stage == 1], [height + depth, 1.25 * step], depth + clear)
         slack, room = self._planes.room(w, start, heading)
         self._put(w, start, heading, np.minimum(travel, np.maximum(room, TRANSPORT_TRAVEL)))
         self._clipped[w] = room < travel

@@ -131,11 +131,40 @@ def test_flagged_normals_come_from_the_neighbours():
     contacts = noisy(touch, outward, contour, order)
     flags = np.where(order % 10 == 4, int(Flag.UNRESOLVED), 0)
     wrong = np.where(flags > 0, contacts.outward + 0.5, contacts.outward)
-    flagged = replace(contacts, flags=flags, outward=wrong, sigma_normal=np.where(flags > 0, 0.5, SENSED))
+    # Their sigma is as confident as any: it is the flag that counts.
+    flagged = replace(contacts, flags=flags, outward=wrong)
     smoothed = smooth_normals(flagged, closed=np.ones(10, dtype=bool), touch_sigma=TOUCH)
     error = errors(smoothed, outward)
     assert error[flags > 0].max() < np.deg2rad(1.0)
     assert np.median(error) < np.deg2rad(0.2)
+
+
+def test_a_normal_that_is_silently_wrong_spoils_no_neighbour():
+    """Windows that contradict themselves are dropped: neighbours of a normal 6 deg off stay within their sigma."""
+    touch, outward, contour, order = ellipses(0.06, 0.06, contours=40)
+    contacts = noisy(touch, outward, contour, order)
+    wrong = replace(contacts, outward=wrap_angle(contacts.outward + np.deg2rad(6.0) * (order == 30)))
+    smoothed = smooth_normals(wrong, closed=np.ones(40, dtype=bool), touch_sigma=TOUCH)
+    beside = (order != 30) & (np.abs(order - 30) <= 2)
+    error = errors(smoothed, outward)
+    assert np.median(error[beside]) < np.deg2rad(0.3)
+    # 160 contacts: three deviations of a share of 0.95 are 0.05.
+    assert np.mean(error[beside] < 1.96 * smoothed.sigma[beside]) > 0.9
+
+
+def test_linear_curvature_is_met_exactly():
+    """On a clothoid read without error the polynomial is the truth: the smoothed normal is the normal."""
+    s = np.linspace(-0.05, 0.05, 4001)
+    heading = 30.0 * s + 150.0 * s**2
+    curve = np.cumsum(np.column_stack((np.cos(heading), np.sin(heading))), axis=0) * (s[1] - s[0])
+    every = np.arange(0, 4001, 200)
+    outward = wrap_angle(heading[every] - 0.5 * np.pi)
+    contacts = make_contacts(
+        np.zeros(21, dtype=np.int64), curve[every], outward, sigma=SENSED, order=np.arange(21)
+    )
+    smoothed = smooth_normals(contacts, touch_sigma=TOUCH)
+    # Chords of 5 mm that turn by 13 deg at most are 0.4 % shorter than their arcs: 0.02 deg over a step.
+    assert np.abs(wrap_angle(smoothed.outward - outward))[2:-2].max() < np.deg2rad(0.05)
 
 
 def test_contacts_that_felt_nothing_take_no_part():

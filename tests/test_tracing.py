@@ -36,8 +36,8 @@ CORNERED = {
     "nearly sharp": rounded_box([0.05, 0.05], 0.001),
     "sharp": rounded_box([0.05, 0.05]),
     "L": L_SHAPE,
-    "fin, its side first": rounded_box([0.0005, 0.04]),
-    "fin, its end first": rounded_box([0.04, 0.0005], centre=(0.0, 0.003)),
+    "fin, its side first": rounded_box([0.0002, 0.04]),
+    "fin, its end first": rounded_box([0.04, 0.0002], centre=(0.0, 0.003)),
     "groove": polygon(
         [[-0.06, -0.06], [0.06, -0.06], [0.06, 0], [0.006, 0], [0, -0.04], [-0.006, 0], [-0.06, 0]]
     ),
@@ -136,6 +136,53 @@ def test_rods_thinner_than_a_step_are_gone_round(radius_mm):
     assert trace.status[0] == Status.CLOSED
     assert np.max(np.diff(angle, append=angle[0] + 2.0 * np.pi)) < np.deg2rad(75.0)
     assert trace.approaches[0] < 40
+
+
+def test_a_wire_thinner_than_the_look_below_is_found_by_shorter_steps():
+    """Walking round with the first step passes beneath the wire: steps shorten until they do not."""
+    plan = plane_plan(1, 2.0 * STEP, size=0.02, start=[[-0.02, 0.0001]])
+    contacts, trace, _ = follow(PlanarBench(plan, [circle(1e-4)], Antenna()))
+    assert trace.status[0] == Status.CLOSED
+    assert len(contacts) >= 4
+
+
+@pytest.mark.parametrize("name", ["fin, its side first", "fin, its end first"])
+def test_both_sides_of_a_thin_fin_are_followed_to_its_ends(name):
+    """A fin of 0.4 mm is thinner than what passes for the same place: its normals tell its sides apart."""
+    bench = PlanarBench(plane_plan(1, STEP), [CORNERED[name]], Antenna())
+    contacts, _, _ = follow(bench)
+    long_axis = int(np.argmax(np.ptp(contacts.touch, axis=0)))
+    across = np.column_stack((np.cos(contacts.outward), np.sin(contacts.outward)))[:, 1 - long_axis]
+    for side in (-1.0, 1.0):
+        reach = np.sort(contacts.touch[side * across > 0.9, long_axis])
+        # At one end up to a step is left, at the other the quarter that walking round goes back as well.
+        assert np.ptp(reach) > 0.08 - 2.25 * STEP
+        assert np.diff(reach).max() < 1.2 * STEP
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_narrow_groove_is_left_again(seed):
+    """At the bottom of a groove of 15 deg the gap is narrower than the clearance: it still comes out beyond it."""
+    h, x = 0.04, 0.04 * np.tan(np.deg2rad(7.5))
+    groove = polygon([[-0.06, -0.06], [0.06, -0.06], [0.06, 0], [x, 0], [0, -h], [-x, 0], [-0.06, 0]])
+    plan = plane_plan(1, STEP, start=[[-0.2, -0.03]])
+    contacts, trace, _ = follow(
+        PlanarBench(plan, [groove], Antenna(), normal_sigma=np.deg2rad(1.0), seed=seed)
+    )
+    top = contacts.touch[contacts.touch[:, 1] > 0.0, 0]
+    assert trace.reason[0] == "closed"
+    assert np.count_nonzero(top < -x) > 5
+    assert np.count_nonzero(top > x) > 5
+
+
+def test_no_contour_is_longer_than_its_box_explains():
+    """The bound on the number of contacts ends a contour and says so."""
+    plan = plane_plan(1, STEP)
+    contacts, trace, _ = follow(PlanarBench(plan, [circle(0.08)], Antenna()), TraceSettings(turns=0.2))
+    # The bound is rounded up.
+    assert len(contacts) == pytest.approx(12 + 0.2 * 0.8 / STEP, abs=1.0)
+    assert trace.status[0] == Status.LOST
+    assert "more contacts than" in trace.reason[0]
 
 
 def test_small_arcs_of_corners_get_contacts():
@@ -287,6 +334,9 @@ def test_expected_normals_cover_the_true_ones():
     assert np.mean(np.abs(error[known]) < 1.96 * sigma[known]) > 0.93
     assert np.median(np.abs(error[known])) < np.deg2rad(0.7)
     assert np.median(sigma[known]) < np.deg2rad(3.0)
+    # Corners by themselves, where sigmas must grow with the change that the chords see.
+    cornered = known & np.concatenate([which % 4 >= 2 for which, _, _ in priors])
+    assert np.mean(np.abs(error[cornered]) < 1.96 * sigma[cornered]) > 0.95
     # Fresh ones: first contacts, and those beyond corners; the side is right.
     assert np.all(np.abs(error[fresh]) < 0.5 * np.pi)
     assert fresh.mean() < 0.1
