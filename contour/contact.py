@@ -126,6 +126,7 @@ def push_cycle(
     friction: ArrayLike,
     radius_along: ArrayLike,
     radius_across: ArrayLike,
+    steps: int = STEPS_OUT,
 ) -> CycleResponse:
     """What pushes along a path of angles, out and back, are answered with, with the memory of friction.
 
@@ -136,9 +137,10 @@ def push_cycle(
         friction: mu, (...).
         radius_along: R [m], as for :func:`push_response`, (...).
         radius_across: R_l [m], as for :func:`push_response`, (...).
+        steps: a stroke is followed in no fewer.
     """
     asked = request(eps, thetas, distance, friction, radius_along, radius_across)
-    return _answer(asked, ArcProfile(asked.bend))
+    return _answer(asked, ArcProfile(asked.bend), steps)
 
 
 def push_cycle_profile(
@@ -177,6 +179,7 @@ def push_cycle_tip(
     radius_along: ArrayLike,
     radius_across: ArrayLike,
     tilt: ArrayLike,
+    steps: int = STEPS_OUT,
 ) -> CycleResponse:
     """What pushes with the tip are answered with, to first order in theta tan(tilt).
 
@@ -192,9 +195,10 @@ def push_cycle_tip(
             next order.
         radius_across: radius of the surface across it [m], inf flat, below 0 concave, (...).
         tilt: angle chi of the outer normal out of the sensing plane, positive towards the base [rad], (...).
+        steps: a stroke is followed in no fewer.
     """
     asked, chi, _ = request_tip(eps, thetas, distance, friction, radius_along, radius_across, tilt)
-    path_angles, wanted = refine(asked.angles, STEPS_OUT)
+    path_angles, wanted = refine(asked.angles, steps)
     path = follow(
         asked.eps, path_angles, asked.friction / np.cos(chi), np.zeros_like(chi), ArcProfile(asked.bend)
     )
@@ -212,8 +216,8 @@ def push_cycle_tip(
     )
 
 
-def _answer(asked: PushRequest, profile: Profile) -> CycleResponse:
-    path_angles, wanted = refine(asked.angles, STEPS_OUT)
+def _answer(asked: PushRequest, profile: Profile, steps: int = STEPS_OUT) -> CycleResponse:
+    path_angles, wanted = refine(asked.angles, steps)
     path = follow(asked.eps, path_angles, asked.friction, asked.along, profile)
     scale, near = asked.distance[..., None], asked.share.T.reshape(asked.shape)
     return CycleResponse(

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from contour.antenna import Antenna
 from contour.contact import push_cycle, push_cycle_tip
-from contour.sensing import Bins, Touch
+from contour.sensing import BINS, Bins, Touch
 
 __all__ = [
     "BEND",
@@ -59,6 +59,10 @@ _SMALL_GAIN = 0.01
 _LOST = 1e3
 """Damping at which small promises mean that the iteration is stuck, not that it is done."""
 
+NUISANCES = 8
+"""Unknowns that belong to one push: two offsets, two drifts, the depth of touch, two biases of direction, a gain."""
+NO_GAIN = 1e-9
+"""Standard deviation that stands for none."""
 DEPTH_SIGMA = 6e-6
 """How far from the edge of touch the machine may stand where no moment tells: its last step back [m]."""
 
@@ -79,6 +83,10 @@ class ModelError:
     """Of the moment, one value a push, relative; it cannot be told from s."""
     gain_outside: float = 2e-3
     """More of it per squared tangent of the angle between push and normal beyond the friction cone."""
+    tip_gain: float = 2e-3
+    """Of the moment of a touch with the tip, one value a push, relative."""
+    tip_gain_tilt: float = 6e-3
+    """More of it per squared tangent of the tilt."""
     moment_bin: float = 2e-4
     """Of the moment, each bin on its own, relative to the peak."""
 
@@ -142,6 +150,7 @@ def _forward(
                 radius_along=np.inf,
                 radius_across=across[rows],
                 tilt=tilt,
+                steps=BINS,
             )
         else:
             along = np.maximum(x[rows, R_ALONG], 0.0)
@@ -152,6 +161,7 @@ def _forward(
                 friction=friction,
                 radius_along=along,
                 radius_across=across[rows],
+                steps=BINS,
             )
         moment[rows], delta[rows] = cycle.moment_angle, cycle.delta
     return moment, phi[:, None] - delta
@@ -270,24 +280,28 @@ def _normal_equations(data: PushData, x: FloatArray, antenna: Antenna, error: Mo
         return np.stack((u[:, :, 0] * a + u[:, :, 1] * b, v[:, :, 0] * a + v[:, :, 1] * b), axis=2)
 
     back = np.arange(bins) >= bins // 2
-    nuisance = np.zeros((pushes, bins, 2, 7))
+    nuisance = np.zeros((pushes, bins, 2, NUISANCES))
     nuisance[:, :, 0, 0], nuisance[:, :, 1, 0] = unit[..., 0], aside[..., 0]
     nuisance[:, :, 0, 1], nuisance[:, :, 1, 1] = unit[..., 1], aside[..., 1]
     nuisance[..., 2:4] = nuisance[..., 0:2] * data.time[:, :, None, None]
     nuisance[:, :, 0, 4] = (antenna.stiffness3 / distance**2)[:, None]  # moment per depth of touch
     nuisance[:, :, 1, 5] = np.where(back, 0.0, moment)
     nuisance[:, :, 1, 6] = np.where(back, moment, 0.0)
-    spread = np.empty((pushes, 7))
+    nuisance[:, :, 0, 7] = moment
+    spread = np.empty((pushes, NUISANCES))
     spread[:, 0:2] = data.tare_sigma[:, None] ** 2
     spread[:, 2:4] = max(antenna.sensor.moment_drift, 1e-9) ** 2
     spread[:, 4] = data.depth_sigma**2
     spread[:, 5:7] = error.direction_bias**2
+    # Of side contacts the gain cannot be told from s; it is put to the distance's sigma in the end.
+    tip_gain = error.tip_gain + error.tip_gain_tilt * x[:, R_ALONG] ** 2
+    spread[:, 7] = np.where(data.tip, tip_gain, NO_GAIN) ** 2
     columns = np.concatenate((turned(derivative), turned(data.force - force)[..., None]), axis=3)
     columns = columns.reshape(pushes, 2 * bins, PARAMETERS + 1)
-    removed = nuisance.reshape(pushes, 2 * bins, 7)
+    removed = nuisance.reshape(pushes, 2 * bins, NUISANCES)
     w = weight.reshape(pushes, 2 * bins, 1)
     weighted = (w * removed).transpose(0, 2, 1)
-    inner = weighted @ removed + np.eye(7) / spread[:, :, None]
+    inner = weighted @ removed + np.eye(NUISANCES) / spread[:, :, None]
     cross = weighted @ columns
     information = (w * columns).transpose(0, 2, 1) @ columns - cross.transpose(0, 2, 1) @ np.linalg.solve(
         inner, cross

@@ -76,10 +76,12 @@ class Memory:
         self.touches = np.zeros((antennas, 2, 2))  # the newest first
         self.known = np.zeros(antennas, dtype=np.int64)  # touches that count
         self.contacts = np.zeros(antennas, dtype=np.int64)
+        self.tipped = np.zeros(antennas, dtype=bool)
 
     def forget(self, which: IntArray) -> None:
         """A new contour or a break: neighbours say nothing any more; friction stays as a rumour."""
         self.known[which] = 0
+        self.tipped[which] = False
         self.outward_sigma[which] = np.inf
         self.along[which], self.along_sigma[which] = RADIUS_ALONG
         self.friction_sigma[which] = np.maximum(self.friction_sigma[which], 0.15)
@@ -93,6 +95,7 @@ class Memory:
         self.distance[w] = contacts.distance[good]
         self.outward[w] = contacts.outward[good]
         self.outward_sigma[w] = contacts.sigma_normal[good]
+        self.tipped[w] = contacts.kind[good] == Kind.TIP
         side = good & (contacts.kind != Kind.TIP)  # a tip says nothing of R
         v = which[side]
         self.along[v] = np.maximum(contacts.radius_along[side], 0.0)

@@ -51,6 +51,10 @@ TIP_SIGMA = 0.15e-3
 """What the tip's distance may differ from L by: its end is round [m]."""
 TIP_TILT = 0.6
 """Sigma of the tangent of a tipped surface's tilt."""
+BELIEVED = 1.6
+"""chi^2 per degree of freedom below which a tip is not compared with a side contact again."""
+TIP_DOUBT = 9.0
+"""Difference (a chi^2) below which side and tip are not told apart."""
 TIP_MARGIN = 4.0
 """How much worse (a chi^2) the tip may explain the readings and still be preferred: it has fewer freedoms."""
 EDGE_RADIUS = 2.5e-3
@@ -107,6 +111,8 @@ class _Work:
     misfit: FloatArray
     cost: FloatArray
     tip: BoolArray
+    compared: BoolArray
+    doubt: FloatArray
     action: NDArray[np.int8]
     phi: FloatArray
     angle: FloatArray
@@ -155,10 +161,13 @@ class ModelStrategy:
             misfit=np.zeros(n),
             cost=np.full(n, np.inf),
             tip=np.zeros(n, dtype=bool),
+            compared=np.zeros(n, dtype=bool),
+            doubt=np.zeros(n),
             action=np.full(n, Action.PUSH, dtype=np.int8),
             phi=phi,
             angle=self._angle(prior.mean, prior.sigma, phi, careful),
         )
+        self._as_tip(np.flatnonzero(memory.tipped[touch.which]))
 
     def _here(self) -> _Work:
         if self._work is None:
@@ -221,6 +230,7 @@ class ModelStrategy:
         distance = np.clip(
             self._antenna.stiffness3 * bins.theta[:, BINS - 1] / peak, 5e-3, 2.0 * self._antenna.beam.length
         )
+        distance = np.where(work.tip[rows], np.exp(base[:, LN_S]), distance)
         rescale = distance / np.exp(base[:, LN_S])
         base[:, LN_S] = np.log(distance)
         base[:, R_ALONG] /= rescale
@@ -251,46 +261,66 @@ class ModelStrategy:
             else [work.mean[rows]]
         )
         self._fit(rows, starts)
-        self._try_tip(rows)
+        self._try_other(rows)
         contradicts = self._contradicts(rows) & ~work.corner[rows]
         again = rows[contradicts]
         if again.size:
             work.corner[again] = True
             self._loosen(again)
             self._fit(again, [work.mean[again], *[start[contradicts] for start in starts[1:]]])
-            self._try_tip(again)
+            self._try_other(again)
 
-    def _try_tip(self, rows: IntArray) -> None:
-        """Fit contacts near the beam's end as touches of the tip too, and keep what explains the readings better."""
-        work = self._here()
-        length = self._antenna.beam.length
-        near = np.abs(np.exp(work.mean[rows, LN_S]) / length - 1.0) < NEAR_TIP
-        rows = rows[near & ~work.tip[rows]]
-        if rows.size == 0:
-            return
-        kept = (
-            work.mean[rows].copy(),
-            work.covariance[rows].copy(),
-            work.misfit[rows].copy(),
-            work.cost[rows].copy(),
-        )
-        side = (work.prior.mean[rows].copy(), work.prior.sigma[rows].copy())
+    def _as_tip(self, rows: IntArray) -> None:
+        """Priors of the contacts ``rows`` for a touch with the tip: s is L, and a tilt stands in the place of R."""
+        work, length = self._here(), self._antenna.beam.length
         scale = length / np.exp(work.prior.mean[rows, LN_S])
         work.prior.mean[rows, LN_S], work.prior.sigma[rows, LN_S] = np.log(length), TIP_SIGMA / length
         work.prior.mean[rows, R_ALONG], work.prior.sigma[rows, R_ALONG] = 0.0, TIP_TILT
         work.prior.mean[rows, BEND] *= scale
         work.prior.sigma[rows, BEND] *= scale
-        start = work.mean[rows].copy()
-        start[:, LN_S], start[:, R_ALONG] = np.log(length), 0.0
+        work.mean[rows, LN_S], work.mean[rows, R_ALONG] = np.log(length), 0.0
         work.tip[rows] = True
-        self._fit(rows, [start])
+
+    def _as_side(self, rows: IntArray) -> None:
+        """Priors of the contacts ``rows`` for a touch with the beam's side, whose distance nothing tells."""
+        work = self._here()
+        distance = np.exp(work.mean[rows, LN_S])
+        work.prior.sigma[rows, LN_S] = 1.0
+        work.prior.mean[rows, R_ALONG] = RADIUS_ALONG[0] / distance
+        work.prior.sigma[rows, R_ALONG] = RADIUS_ALONG[1] / distance
+        work.mean[rows, R_ALONG] = RADIUS_ALONG[0] / distance
+        work.tip[rows] = False
+
+    def _try_other(self, rows: IntArray) -> None:
+        """Fit contacts near the beam's end as side contacts and as touches of the tip, and keep what explains the
+        readings better. A tip that follows a tip and explains them well is believed.
+        """
+        work = self._here()
+        near = np.abs(np.exp(work.mean[rows, LN_S]) / self._antenna.beam.length - 1.0) < NEAR_TIP
+        believed = work.tip[rows] & (work.misfit[rows] < BELIEVED)
+        rows = rows[near & ~believed & ~work.compared[rows]]
+        if rows.size == 0:
+            return
+        work.compared[rows] = True
+        names = ("mean", "covariance", "misfit", "cost", "tip")
+        kept = {name: getattr(work, name)[rows].copy() for name in names}
+        priors = work.prior.mean[rows].copy(), work.prior.sigma[rows].copy()
+        was_tip = work.tip[rows].copy()
+        self._as_side(rows[was_tip])
+        self._as_tip(rows[~was_tip])
+        self._fit(rows, [work.mean[rows].copy()])
         # A side contact has a distance and a radius more to please the readings with.
-        worse = work.cost[rows] > kept[3] + TIP_MARGIN
+        margin = np.where(was_tip, -TIP_MARGIN, TIP_MARGIN)
+        worse = work.cost[rows] > kept["cost"] + margin
         back = rows[worse]
-        work.tip[back] = False
-        work.mean[back], work.covariance[back] = kept[0][worse], kept[1][worse]
-        work.misfit[back], work.cost[back] = kept[2][worse], kept[3][worse]
-        work.prior.mean[back], work.prior.sigma[back] = side[0][worse], side[1][worse]
+        # Where a side contact explains a tip's readings nearly as well, s is no surer than the two are apart.
+        side = np.where(was_tip, work.mean[rows, LN_S], kept["mean"][:, LN_S])
+        apart = np.abs(np.exp(side) - self._antenna.beam.length)
+        tie = np.abs(work.cost[rows] - kept["cost"]) < TIP_DOUBT
+        work.doubt[rows] = np.where(tie, 0.5 * apart, 0.0)
+        for name in names:
+            getattr(work, name)[back] = kept[name][worse]
+        work.prior.mean[back], work.prior.sigma[back] = priors[0][worse], priors[1][worse]
 
     def _contradicts(self, rows: IntArray) -> BoolArray:
         """Whether readings and tangent exclude each other, or readings and model."""
@@ -348,7 +378,9 @@ class ModelStrategy:
         variance[:, LN_S] += (
             self._error.gain**2 + (self._error.gain_outside * np.tan(np.minimum(off, 1.2)) ** 2) ** 2
         )
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0) * np.maximum(work.misfit[rows], 1.0)[:, None]))
+        variance = np.maximum(variance, 0.0) * np.maximum(work.misfit[rows], 1.0)[:, None]
+        variance[:, LN_S] += (work.doubt[rows] / np.exp(work.mean[rows, LN_S])) ** 2
+        return np.asarray(np.sqrt(variance))
 
     def _merit(self, sigma_s: FloatArray, sigma_normal: FloatArray) -> FloatArray:
         return np.maximum(
