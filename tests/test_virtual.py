@@ -164,8 +164,10 @@ def test_answers_come_from_the_contacts_they_belong_to():
         return path * (1.0 + rows[:, None]), np.full_like(path, np.pi)
 
     outward = np.array([np.pi, 0.0, np.pi, np.pi])
-    reading = push(edges(distance, outward=outward), 0.0, 0.03, response=telling)
+    reading = push(edges(distance, outward=outward), 0.0, 0.03, response=telling, limit=9e-3)
     np.testing.assert_array_equal(seen[0], [0, 2, 3])
+    # The last one alone passes 9 mN m, and is asked again for its shorter way.
+    np.testing.assert_array_equal(seen[1], [3])
     found = carried(reading)
     for i, gain in enumerate((1.0, 0.0, 3.0, 4.0)):
         rows = rows_of(reading.samples, i)
