@@ -16,7 +16,6 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -27,7 +26,6 @@ from numpy.typing import NDArray
 import contour
 from contour import shapes
 from contour.antenna import Antenna
-from contour.bisection import BisectionSettings, BisectionStrategy
 from contour.contacts import Contacts, Kind
 from contour.evaluate import Errors, errors_of, figures
 from contour.frames import Mount, wrap_angle
@@ -36,13 +34,11 @@ from contour.ladder import Rung
 from contour.machine import MachineModel
 from contour.mesh_env import MeshEnvironment
 from contour.mesh_instrument import MeshInstrument
-from contour.model import ModelSettings, ModelStrategy
-from contour.one_push import OnePushStrategy
 from contour.plan import Plan, default_plan
 from contour.regions import REGIONS, analytic_truth
 from contour.scan import Observed, follow
-from contour.sensing import Strategy
 from contour.smoothing import smooth_normals
+from contour.strategy import STRATEGIES, make_strategy
 from contour.tracing import Tracer
 from contour.virtual import TrueContact
 
@@ -59,18 +55,6 @@ OTHERS = ("shaft", "bracket", "fin", "mug")
 
 WITHIN = 1.959963984540054
 """Half width of the 95 % interval in sigmas."""
-
-STRATEGIES: dict[str, Callable[[int, Antenna, Mount], Strategy]] = {
-    "model": ModelStrategy,
-    "model-out": lambda n, antenna, mount: ModelStrategy(
-        n, antenna, mount, ModelSettings(both_strokes=False)
-    ),
-    "bisection": BisectionStrategy,
-    "bisection-limited": lambda n, antenna, mount: BisectionStrategy(
-        n, antenna, mount, BisectionSettings(largest_step=float(np.deg2rad(40.0)), name="bisection-limited")
-    ),
-    "one-push": OnePushStrategy,
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -201,7 +185,7 @@ def measure(
     rays, begun = environment.rays_cast, time.perf_counter()
     contacts, trace = follow(
         instrument,
-        STRATEGIES[strategy](plan.contours, antenna, mount),
+        make_strategy(strategy, plan.contours, antenna, mount),
         Tracer(plan, mount, antenna),
         observe=observe,
     )
@@ -378,7 +362,7 @@ def _arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--shapes", nargs="+", choices=shapes.NAMES, default=[*SMOOTH, *CORNERED])
-    parser.add_argument("--strategies", nargs="+", choices=tuple(STRATEGIES), default=["model"])
+    parser.add_argument("--strategies", nargs="+", choices=STRATEGIES, default=["model"])
     parser.add_argument("--rung", default="auto", help="forward model of the simulator")
     parser.add_argument("--contours", type=int, default=48, help="of each shape, a quarter for each friction")
     parser.add_argument("--step", type=float, help="distance between contacts [mm]")
