@@ -57,10 +57,11 @@ def slide_estimate(contact: TrueContact, eps: FloatArray, peak: FloatArray) -> F
 
 
 def choose(contact: TrueContact, eps: FloatArray, peak: FloatArray, tolerance: float) -> NDArray[np.int8]:
-    """Cheapest rung of each push with an estimated error, of moment or direction [rad], under ``tolerance``.
+    """Cheapest rung of each push with an estimated error of the force, over its largest, under ``tolerance``.
 
-    The estimates bound what was measured against the exact rung (tests/test_ladder.py): the edge forms leave out 3/8 u,
-    the turn of the normal by the slide and friction's memory; the reduced rod leaves out second orders of u and of 1/q.
+    The estimates bound what was measured against the exact rung on both strokes (tests/test_ladder.py): the edge
+    forms leave out 3/8 u, the turn of the normal by the slide and friction's memory, which shows most on the way
+    back; the reduced rod leaves out second orders of u and of 1/q.
     """
     depth = contact.distance * peak
     slide = slide_estimate(contact, eps, peak)
@@ -68,7 +69,7 @@ def choose(contact: TrueContact, eps: FloatArray, peak: FloatArray, tolerance: f
     bend = np.abs(1.0 / np.where(contact.radius_across == 0.0, 1e-9, contact.radius_across))
     alpha = np.arctan(contact.friction)
     outside = np.abs(eps) > 0.9 * alpha
-    creep = 0.1 * np.abs(eps) * peak / np.maximum(contact.friction, 0.02)
+    creep = 0.22 * np.abs(eps) * peak / np.maximum(contact.friction, 0.02)
     edge = 0.375 * u + slide * bend + np.where(outside, 1.0, creep)
     q_inverse = np.minimum(depth * bend, 4.0)
     reach = np.tan(np.minimum(np.abs(eps), 1.4)) ** 2
