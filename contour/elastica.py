@@ -42,6 +42,8 @@ STEPS_OUT = 16
 """Steps a push out is followed in, at least; twice as many move delta by 0.01 deg rms on the way back."""
 LEAST_ANGLE = 1e-4
 """A push is never followed at less than this angle [rad]: its slips drown in rounding."""
+LEAST_ANGLE_TIP = 1e-3
+"""The same for a tip, whose height on its slope changes with the square of the angle [rad]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -161,7 +163,7 @@ def push_cycle_tip(
         tilt: angle chi of the outer normal out of the sensing plane, positive towards the base [rad], (...).
     """
     asked, lean, bend = request_tip(
-        eps, thetas, distance, friction, radius_along, radius_across, tilt, least=LEAST_ANGLE
+        eps, thetas, distance, friction, radius_along, radius_across, tilt, least=LEAST_ANGLE_TIP
     )
     profile = ArcProfile(asked.bend)
     body = TipBody(asked.eps, asked.friction, lean, ArcProfile(bend), profile)
