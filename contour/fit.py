@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from contour.antenna import Antenna
 from contour.contact import push_cycle, push_cycle_tip
-from contour.sensing import BINS, Bins, Touch
+from contour.sensing import BACK_RANGE, BINS, OUT_RANGE, Bins, Touch
 
 __all__ = [
     "BEND",
@@ -59,6 +59,8 @@ _SMALL_GAIN = 0.01
 _LOST = 1e3
 """Damping at which small promises mean that the iteration is stuck, not that it is done."""
 
+GAUSS = 0.5 / np.sqrt(3.0) * np.array([-1.0, 1.0])
+"""Where to evaluate the mean over a bin, in widths of it from its middle: exact for a force cubic in the angle."""
 NUISANCES = 8
 """Unknowns that belong to one push: two offsets, two drifts, the depth of touch, two biases of direction, a gain."""
 NO_GAIN = 1e-9
@@ -75,19 +77,19 @@ class ModelError:
     uses; measured by ``tests/test_fit.py`` on cycles of the exact rod.
     """
 
-    direction_bias: float = float(np.deg2rad(0.03))
+    direction_bias: float = float(np.deg2rad(0.015))
     """Of the force's direction, one value a stroke [rad]."""
-    direction_bin: float = float(np.deg2rad(0.04))
+    direction_bin: float = float(np.deg2rad(0.02))
     """Of the force's direction, each bin on its own [rad]."""
-    gain: float = 4e-4
+    gain: float = 1.5e-4
     """Of the moment, one value a push, relative; it cannot be told from s."""
-    gain_outside: float = 2e-3
+    gain_outside: float = 5e-4
     """More of it per squared tangent of the angle between push and normal beyond the friction cone."""
     tip_gain: float = 2e-3
     """Of the moment of a touch with the tip, one value a push, relative."""
     tip_gain_tilt: float = 6e-3
     """More of it per squared tangent of the tilt."""
-    moment_bin: float = 2e-4
+    moment_bin: float = 8e-5
     """Of the moment, each bin on its own, relative to the peak."""
 
 
@@ -150,7 +152,7 @@ def _forward(
                 radius_along=np.inf,
                 radius_across=across[rows],
                 tilt=tilt,
-                steps=BINS,
+                steps=2 * BINS,
             )
         else:
             along = np.maximum(x[rows, R_ALONG], 0.0)
@@ -161,7 +163,7 @@ def _forward(
                 friction=friction,
                 radius_along=along,
                 radius_across=across[rows],
-                steps=BINS,
+                steps=2 * BINS,
             )
         moment[rows], delta[rows] = cycle.moment_angle, cycle.delta
     return moment, phi[:, None] - delta
@@ -174,7 +176,7 @@ class PushData:
     phi: FloatArray
     """(P,) rad"""
     path: FloatArray
-    """(P, 2B + 1) rad, angles of the bins with the turning point between the strokes."""
+    """(P, 4B + 1) rad, two angles for the mean over each bin, and the turning point between the strokes."""
     force: FloatArray
     """(P, 2B, 2) N m"""
     count: FloatArray
@@ -212,8 +214,8 @@ class PushData:
 _VARIED = (NU, LN_TAN_ALPHA, R_ALONG, BEND)
 
 
-def _response(data: PushData, x: FloatArray, antenna: Antenna) -> tuple[FloatArray, FloatArray]:
-    """Moment (v, P, 2B) in N m and direction psi of v variants of the states, (v, P, 5)."""
+def _response(data: PushData, x: FloatArray, antenna: Antenna) -> FloatArray:
+    """Mean force over each bin, (v, P, 2B, 2) N m, for v variants of the states (v, P, 5)."""
     variants, pushes, _ = x.shape
     nodes = data.path.shape[1]
     distance = np.exp(x[..., LN_S])
@@ -222,27 +224,25 @@ def _response(data: PushData, x: FloatArray, antenna: Antenna) -> tuple[FloatArr
     moment, psi = _forward(
         x.reshape(-1, PARAMETERS), np.tile(data.phi, variants), path.reshape(-1, nodes), tip
     )
+    force = moment[..., None] * np.stack((np.cos(psi), np.sin(psi)), axis=-1)
     keep = np.arange(nodes) != nodes // 2
-    scale = antenna.stiffness3 / distance
-    return scale[..., None] * moment.reshape(variants, pushes, nodes)[..., keep], psi.reshape(
-        variants, pushes, nodes
-    )[..., keep]
+    force = force[:, keep].reshape(variants, pushes, -1, len(GAUSS), 2).mean(axis=3)
+    return np.asarray((antenna.stiffness3 / distance)[..., None, None] * force)
 
 
-def _linearised(data: PushData, x: FloatArray, antenna: Antenna) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Moment and direction psi (P, 2B) of the states, and the force's derivatives (P, 2B, 2, 5)."""
+def _linearised(data: PushData, x: FloatArray, antenna: Antenna) -> tuple[FloatArray, FloatArray]:
+    """Forces (P, 2B, 2) of the states, and their derivatives (P, 2B, 2, 5)."""
     clipped = x.copy()
     clipped[:, R_ALONG] = np.where(data.tip, x[:, R_ALONG], np.maximum(x[:, R_ALONG], 0.0))
     stack = np.repeat(clipped[None], len(_VARIED) + 1, axis=0)
     for i, parameter in enumerate(_VARIED):
         stack[i + 1, :, parameter] += _STEP[parameter]
-    moment, psi = _response(data, stack, antenna)
-    vectors = moment[..., None] * np.stack((np.cos(psi), np.sin(psi)), axis=-1)
-    derivative = np.empty((*moment.shape[1:], 2, PARAMETERS))
-    derivative[..., LN_S] = -vectors[0]
+    force = _response(data, stack, antenna)
+    derivative = np.empty((*force.shape[1:], PARAMETERS))
+    derivative[..., LN_S] = -force[0]
     for i, parameter in enumerate(_VARIED):
-        derivative[..., parameter] = (vectors[i + 1] - vectors[0]) / _STEP[parameter]
-    return moment[0], psi[0], derivative
+        derivative[..., parameter] = (force[i + 1] - force[0]) / _STEP[parameter]
+    return force[0], derivative
 
 
 def _held_weight(data: PushData, distance: FloatArray, unit: FloatArray, antenna: Antenna) -> FloatArray:
@@ -254,11 +254,12 @@ def _held_weight(data: PushData, distance: FloatArray, unit: FloatArray, antenna
 
 def _normal_equations(data: PushData, x: FloatArray, antenna: Antenna, error: ModelError) -> FloatArray:
     """Information with everything that belongs to one push eliminated: (P, 6, 6), the last row for the residual."""
-    moment, psi, derivative = _linearised(data, x, antenna)
-    pushes, bins = moment.shape
+    bare, derivative = _linearised(data, x, antenna)
+    pushes, bins, _ = bare.shape
     distance = np.exp(x[:, LN_S])
-    unit = np.stack((np.cos(psi), np.sin(psi)), axis=-1)
-    force = moment[..., None] * unit + _held_weight(data, distance, unit, antenna)
+    moment = np.maximum(np.linalg.norm(bare, axis=-1), NO_GAIN)
+    unit = bare / moment[..., None]
+    force = bare + _held_weight(data, distance, unit, antenna)
     # A negative R (concave along the beam, or the noise of an edge) is continued from R = 0.
     beyond = np.where(data.tip, 0.0, np.minimum(x[:, R_ALONG], 0.0))
     force += beyond[:, None, None] * derivative[..., R_ALONG]
@@ -329,8 +330,13 @@ def prepare(bins: Bins, touch: Touch, distance: FloatArray, contact: IntArray, a
     """
     half = bins.theta.shape[1] // 2
     slots = (np.arange(half) + 0.5) / half
-    full = np.concatenate((slots, slots[::-1])) * bins.peak[:, None]
-    theta = np.where(bins.count > 0.0, bins.theta, full)
+    out = OUT_RANGE[0] + (OUT_RANGE[1] - OUT_RANGE[0]) * slots
+    back = BACK_RANGE[0] + (BACK_RANGE[1] - BACK_RANGE[0]) * slots[::-1]
+    middle = np.concatenate((out, back)) * bins.peak[:, None]
+    theta = np.where(bins.count > 0.0, bins.theta, middle)
+    spread = np.array([OUT_RANGE[1] - OUT_RANGE[0], BACK_RANGE[0] - BACK_RANGE[1]]) / half
+    spread = np.repeat(spread, half)[None, :, None] * bins.peak[:, None, None] * GAUSS
+    nodes = np.maximum(theta[..., None] + spread, 0.0).reshape(theta.shape[0], -1)
     push = np.stack((np.cos(bins.phi), np.sin(bins.phi)), axis=1)
     along = np.sum(bins.up * push, axis=1)
     change = -bins.up_along[:, None] * np.sin(theta) - along[:, None] * (1.0 - np.cos(theta))
@@ -341,7 +347,7 @@ def prepare(bins: Bins, touch: Touch, distance: FloatArray, contact: IntArray, a
     per_moment = distance**2 / antenna.stiffness3
     return PushData(
         phi=bins.phi,
-        path=np.concatenate((theta[:, :half], bins.peak[:, None], theta[:, half:]), axis=1),
+        path=np.insert(nodes, nodes.shape[1] // 2, bins.peak, axis=1),
         force=bins.force,
         count=bins.count,
         time=bins.time,

@@ -24,7 +24,7 @@ from contour.errors import UsageError
 from contour.laws import finite_angle, slip_law
 from contour.virtual import TrueContact
 
-__all__ = ["RUNGS", "Ladder", "Rung", "choose"]
+__all__ = ["RUNGS", "Ladder", "Rung", "choose", "slide_estimate"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -50,7 +50,7 @@ class ModelSettings:
 
     tolerance_distance: float = 3.5e-3
     """Standard deviation of s to stop at, relative to s."""
-    tolerance_normal: float = float(np.deg2rad(1.2))
+    tolerance_normal: float = float(np.deg2rad(1.5))
     """Standard deviation of the normal to stop at [rad]."""
     angle: float = float(np.deg2rad(3.0))
     """Angle of a push at ``angle_distance`` and beyond [rad]."""
@@ -66,7 +66,7 @@ class ModelSettings:
     """Angle that a push is not made smaller than, but for the moment limit [rad]."""
     tolerance_friction: float = float(np.deg2rad(2.0))
     """Standard deviation of the friction angle that the first contact of a contour spends a second push on [rad]."""
-    flag: float = 2.5
+    flag: float = 2.0
     """Multiple of the tolerances beyond which a contact is flagged."""
     most_pushes: int = 4
     """Pushes a contact may take."""
@@ -118,7 +118,7 @@ class ModelStrategy:
         memory.forget(touch.which[touch.fresh])
         prior, tangent = memory.prior(touch, self._antenna)
         phi = np.where(touch.fresh, touch.expected, memory.outward[touch.which]) + np.pi
-        careful = tangent.corner | touch.fresh
+        careful = tangent.corner
         believed = Posterior(prior, tangent.corner, self._antenna, self._error, self._settings.misfit)
         self._work = _Work(
             touch=touch,

@@ -35,7 +35,7 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-BINS = 6
+BINS = 5
 """Bins of each stroke. Fewer blur the turning point of the friction, more only cost time."""
 
 

@@ -25,8 +25,8 @@ IntArray = NDArray[np.int64]
 
 CHUNK = 20
 """Samples that a watch is shown at once."""
-NODES_OUT = np.array([0.0, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
-NODES_BACK = np.array([1.0, 0.98, 0.92, 0.84, 0.76, 0.68, 0.6, 0.5, 0.4, 0.3, 0.2, 0.12, 0.06, 0.025, 0.0])
+NODES_OUT = np.concatenate(([0.0, 0.01], np.arange(1, 33) / 32.0))
+NODES_BACK = np.concatenate(([1.0, 0.99, 0.98], np.arange(31, 0, -1) / 32.0, [0.02, 0.01, 0.0]))
 """Shares of the peak angle at which the mechanics is evaluated on each stroke. The force between them is
 linear in the angle, as a sticking contact's is; after the turning point friction along the beam changes sign
 at once, and near the end of the way back the slide that is left turns the force."""
