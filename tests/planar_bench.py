@@ -12,10 +12,13 @@ from contour.contacts import Contacts, Kind
 from contour.frames import Mount
 from contour.instrument import ApproachReading, Outcome, Samples
 from contour.plan import Plan, Reach
+from contour.tracing import Expectation, Trace, Tracer
 
 Shape = Callable[[np.ndarray], np.ndarray]
 """Signed distance (k,) m of points (k, 2) m, exact outside."""
 
+ROUNDS = 3000
+"""More moves than any contour here may need."""
 EDGE = 1e-5
 """How far off the surface the antenna stands at the edge of touch [m]."""
 
@@ -236,3 +239,24 @@ def make_contacts(which, touch, outward, *, sigma, order, flags=None) -> Contact
         machine_time=fill,
         sequence=order,
     )
+
+
+def follow(bench, settings=None) -> tuple[Contacts, Trace, list[tuple[np.ndarray, Expectation, np.ndarray]]]:
+    """Every contour to its end; the contacts, the summary, and each prior beside the true normals."""
+    tracer = Tracer(bench.plan, bench.mount, bench.antenna, settings)
+    parts, priors = [], []
+    for _ in range(ROUNDS):
+        if not tracer.active.size:
+            break
+        reading = bench.approach(*tracer.ask())
+        rows = tracer.touched(reading)
+        if rows.size:
+            which = reading.which[rows]
+            prior = tracer.expected(which)
+            contacts = bench.localise(which)
+            priors.append((which, prior, contacts.outward))
+            tracer.tell(contacts)
+            bench.release(which, tracer.clearance(which))
+            parts.append(contacts)
+    assert not tracer.active.size, "contours that never end"
+    return tracer.place(Contacts.concatenate(parts)), tracer.summary(), priors

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planar_bench import make_contacts
+from planar_bench import PlanarBench, follow, make_contacts, plane_plan, rounded_box
 
+from contour.antenna import Antenna
 from contour.contacts import Contacts, Flag
 from contour.errors import UsageError
 from contour.frames import wrap_angle
@@ -98,6 +99,19 @@ def test_corners_are_not_smoothed_over(radius_mm):
     assert np.median(error[~arc]) < np.deg2rad(0.2)
 
 
+def test_coarse_steps_over_corners_lose_nothing():
+    """Where the tracer's steps are longer than arcs, windows contradict themselves: normals stay as sensed."""
+    start = np.column_stack((np.full(12, -0.2), np.linspace(-0.01, 0.01, 12)))
+    bench = PlanarBench(plane_plan(12, 10e-3, start=start), [rounded_box([0.05, 0.05], 5e-3)] * 12, Antenna())
+    true, trace, _ = follow(bench)
+    contacts = noisy(true.touch, true.outward, true.which, true.sequence)
+    smoothed = smooth_normals(contacts, closed=trace.closed, touch_sigma=TOUCH)
+    arc = np.abs(wrap_angle(4.0 * true.outward)) > 0.01
+    # The median of |sensed - true| is 0.674 sigma; with some 60 contacts on arcs it is known to 15 %.
+    assert arc.sum() > 40
+    assert np.median(errors(smoothed, true.outward)[arc]) < 1.15 * 0.674 * SENSED
+
+
 def test_a_change_of_orientation_changes_nothing():
     """Turned by any angle, and followed the other way round, an outline gets the same normals, turned."""
     touch, outward, contour, order = ellipses(0.06, 0.03, contours=2)
@@ -165,6 +179,9 @@ def test_linear_curvature_is_met_exactly():
     smoothed = smooth_normals(contacts, touch_sigma=TOUCH)
     # Chords of 5 mm that turn by 13 deg at most are 0.4 % shorter than their arcs: 0.02 deg over a step.
     assert np.abs(wrap_angle(smoothed.outward - outward))[2:-2].max() < np.deg2rad(0.05)
+    assert np.all(smoothed.neighbours[2:-2] == 4)
+    # Five normals and five touches of 20 um every 5 mm: better than the sensed one by a good factor.
+    assert np.all(smoothed.sigma[2:-2] < 0.4 * SENSED)
 
 
 def test_contacts_that_felt_nothing_take_no_part():
