@@ -96,7 +96,7 @@ class Ladder:
         self.used = np.zeros(0, dtype=np.int8)
         """(n,) :class:`Rung` that answered row i last, -1 for none; whoever counts sets it back before a push."""
         self.unconverged = 0
-        """Pushes of the exact rung that did not converge so far."""
+        """Pushes so far on which the exact rung did not converge, and the reduced rod answered."""
 
     def __call__(
         self, contact: TrueContact, eps: FloatArray, path: FloatArray, rows: IntArray
@@ -111,13 +111,16 @@ class Ladder:
         tip = contact.kind == Kind.TIP
         rung = np.where(tip & (rung < Rung.ELASTICA), np.int8(Rung.REDUCED), rung)
         moment, delta = np.zeros_like(path), np.full_like(path, np.pi)
-        # Tips have mechanics of their own: no call mixes them with contacts of the side.
-        for level, end in product(Rung, (False, True)):
+        # Tips have mechanics of their own: no call mixes them with contacts of the side. The exact rung comes
+        # first: pushes on which it does not converge are left to the reduced rod, and counted.
+        for level, end in product(reversed(Rung), (False, True)):
             some = np.flatnonzero((rung == level) & (tip == end))
             if some.size:
-                moment[some], delta[some] = self._answer(
+                moment[some], delta[some], settled = self._answer(
                     level, contact.take(some), eps[some], path[some], rows[some]
                 )
+                rung[some[~settled]] = Rung.REDUCED
+                self.unconverged += int(np.count_nonzero(~settled))
         missing = int(rows.max(initial=-1)) + 1 - self.used.size
         if missing > 0:
             self.used = np.concatenate((self.used, np.full(missing, -1, dtype=np.int8)))
@@ -126,7 +129,9 @@ class Ladder:
 
     def _answer(
         self, level: Rung, contact: TrueContact, eps: FloatArray, path: FloatArray, rows: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        """Moment angle and delta (n, k) of one rung, and whether it found them (n,)."""
+        settled: NDArray[np.bool_] = np.ones(eps.size, dtype=np.bool_)
         model = elastica if level == Rung.ELASTICA else reduced
         common = {
             "distance": contact.distance,
@@ -138,15 +143,15 @@ class Ladder:
                 eps, path, **common, radius_across=contact.radius_across, tilt=contact.tilt
             )
         elif level == Rung.EDGE:
-            return self._edge(contact, eps, path)
+            return *self._edge(contact, eps, path), settled
         elif level == Rung.PROFILE:
             reach = 1.2 * slide_estimate(contact, eps, path.max(axis=1)) + PROFILE_MARGIN
             cycle = reduced.push_cycle_profile(eps, path, **common, profile=self._silhouette(rows, reach))
         else:
             cycle = model.push_cycle(eps, path, **common, radius_across=contact.radius_across)
-        if level == Rung.ELASTICA:
-            self.unconverged += int(np.count_nonzero(~cycle.converged))
-        return np.where(cycle.slipped_off, 0.0, cycle.moment_angle), cycle.delta
+        if isinstance(cycle, elastica.RodCycleResponse):
+            settled = np.all(cycle.converged | cycle.slipped_off, axis=1)
+        return np.where(cycle.slipped_off, 0.0, cycle.moment_angle), cycle.delta, settled
 
     @staticmethod
     def _edge(contact: TrueContact, eps: FloatArray, path: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -177,6 +177,7 @@ def run(job: Job, folder: Path, *, progress: Progress | None = None) -> dict[str
         "contacts_per_s": len(contacts) / spent,
         "machine_time_s": float(recorder.machine_time.sum()),
         "rungs": {rung.name.lower(): int(np.count_nonzero(rungs == rung)) for rung in Rung},
+        "unconverged": simulated.unconverged,
     }
     columns = cloud.table(contacts, true_columns(truth, rungs))
     folder.mkdir(parents=True, exist_ok=True)
