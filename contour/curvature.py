@@ -50,8 +50,12 @@ class SmoothSurface:
 
     def normal(self, face: IntArray, barycentric: FloatArray) -> FloatArray:
         """Unit normals (k, 3) at barycentric coordinates (k, 3) of faces (k,)."""
-        mixed = np.einsum("kc,kcj->kj", barycentric, self.normals[self._corners[face]])
+        mixed = np.einsum("kc,kcj->kj", barycentric, self.corner_normals(face))
         return np.asarray(mixed / np.linalg.norm(mixed, axis=1)[:, None])
+
+    def corner_normals(self, face: IntArray) -> FloatArray:
+        """Unit normals at the corners of faces (k,), on the face's own patches (k, 3, 3)."""
+        return self.normals.take(self._corners.take(face, axis=0), axis=0)
 
     def shape_operator(self, face: IntArray, barycentric: FloatArray) -> FloatArray:
         """S (k, 3, 3) [1/m] there; it maps tangent steps to changes of the normal."""

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from contour.curvature import SmoothSurface
 from contour.first_contact import Touches
 from contour.motions import Motions
+from contour.rays import RayCaster
 from contour.sweep import Where
+from contour.tangency import Beams, closest_barycentric, tangencies
 from contour.topology import Topology
 
 __all__ = ["FirstContact", "TouchKind", "describe"]
@@ -117,6 +119,7 @@ class _Rows:
 def describe(
     topology: Topology,
     surface: SmoothSurface,
+    rays: RayCaster,
     body: IntArray,
     motions: Motions,
     touches: Touches,
@@ -128,6 +131,7 @@ def describe(
     Args:
         topology: of the mesh, recentred.
         surface: the smooth surface it stands for.
+        rays: over its faces.
         body: body of each face (f,).
         motions: of the beams, recentred.
         touches: their first touches.
@@ -149,12 +153,25 @@ def describe(
     # Where a line ends at a crease, its normal and the silhouette are still those of the surface it lies on.
     ends_line = crease & rows.line & ~_runs_along(topology, rows, edge)
     normal, smooth = _normals(topology, surface, rows, barycentric, edge, crease & ~ends_line, point)
-    contact.point[at] = point + centre if radius > 0.0 else rows.axis + centre
+    spot = point.copy() if radius > 0.0 else rows.axis.copy()
+    ends = (rows.where == Where.TIP) | (rows.where == Where.BASE)
+    bent = np.nonzero(~(crease | rows.line | contact.touching[at]) & (rows.where < Where.TIP))[0]
+    found = tangencies(
+        topology, surface, rays, rows.face[bent], barycentric[bent], smooth[bent], _beams(rows, bent)
+    )
+    smooth[bent] = found.normal
+    normal[bent] = _unit(
+        found.normal - np.einsum("kj,kj->k", found.normal, rows.along[bent])[:, None] * rows.along[bent]
+    )
+    contact.lift[at[bent]] = -found.back * np.einsum("kj,kj->k", rows.motion[bent], normal[bent])
+    spot[bent] = rows.axis[bent] + found.step[:, None] * rows.along[bent] - radius * normal[bent]
+    rows.distance[bent] += found.step
+    rows.face[bent], barycentric[bent] = found.face, found.barycentric
+    contact.point[at] = spot + centre
     contact.distance[at] = rows.distance
     contact.face[at], contact.body[at] = rows.face, body[rows.face]
     contact.direction[at], contact.normal[at], contact.normal_smooth[at] = rows.along, normal, smooth
     contact.line[at] = rows.line
-    ends = (rows.where == Where.TIP) | (rows.where == Where.BASE)
     kind = np.where(crease | rows.line, TouchKind.EDGE, TouchKind.SIDE)
     kind = np.where(rows.where == Where.TIP, TouchKind.TIP, kind)
     contact.kind[at] = np.where(rows.where == Where.BASE, TouchKind.BASE, kind)
@@ -220,6 +237,12 @@ def _rows(
     )
 
 
+def _beams(rows: _Rows, index: IntArray) -> Beams:
+    return Beams(
+        axis=rows.axis[index], along=rows.along[index], motion=rows.motion[index], radius=rows.radius
+    )
+
+
 def _on_edges(barycentric: FloatArray) -> BoolArray:
     """Which of its face's edges a point lies on (k, 3)."""
     return np.asarray(barycentric[:, [2, 0, 1]] < 1e-6)  # edge i is opposite corner i + 2
@@ -235,29 +258,6 @@ def _barycentric(corners: FloatArray, point: FloatArray, radius: float) -> Float
     parts = np.cross(from_point[:, [1, 2, 0]], from_point[:, [2, 0, 1]])
     weights = np.maximum(np.einsum("kcj,kj->kc", parts, normal), 0.0)
     return np.asarray(weights / weights.sum(axis=1)[:, None])
-
-
-def closest_barycentric(corners: FloatArray, point: FloatArray) -> FloatArray:
-    """Barycentric coordinates (k, 3) of the place on each triangle (k, 3, 3) nearest to its point (k, 3)."""
-    k = len(point)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    from_point = corners - point[:, None]
-    weights = np.einsum("kcj,kj->kc", np.cross(from_point[:, [1, 2, 0]], from_point[:, [2, 0, 1]]), normal)
-    best = weights / weights.sum(axis=1)[:, None]
-    outside = (weights < 0.0).any(axis=1)
-    gap = np.where(outside, np.inf, -1.0)
-    for i in range(3):
-        start, side = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
-        share = np.einsum("kj,kj->k", point - start, side) / np.einsum("kj,kj->k", side, side)
-        share = np.clip(share, 0.0, 1.0)
-        distance = np.linalg.norm(start + share[:, None] * side - point, axis=1)
-        nearer = np.nonzero(distance < gap)[0]
-        gap[nearer] = distance[nearer]
-        best[nearer] = 0.0
-        best[nearer, i] = 1.0 - share[nearer]
-        best[nearer, (i + 1) % 3] = share[nearer]
-    assert best.shape == (k, 3)
-    return np.asarray(best)
 
 
 def _edges(topology: Topology, rows: _Rows, barycentric: FloatArray) -> IntArray:
@@ -350,7 +350,7 @@ def _curvatures(
     crease: BoolArray,
 ) -> None:
     at = rows.index
-    normal, smooth = contact.normal[at], contact.normal_smooth[at]
+    normal = contact.normal[at]
     by_end = np.isin(contact.kind[at], [TouchKind.TIP, TouchKind.BASE])
     # An end's normal is not square to the beam: take the directions along and across within the surface.
     first = rows.along - np.where(by_end, np.einsum("kj,kj->k", rows.along, normal), 0.0)[:, None] * normal
@@ -366,9 +366,6 @@ def _curvatures(
     b = np.einsum("ki,kij,kj->k", first, shape, second)
     c = np.einsum("ki,kij,kj->k", second, shape, second)
     across = np.where(by_end, c, c - b * b * a / (a * a + FLAT * FLAT))
-    bent = ~(crease | rows.line | contact.touching[at]) & (rows.where < Where.TIP)
-    lift = _lift(topology, rows, point, edge, shape, normal, smooth, a)
-    contact.lift[at] = np.where(bent, lift, 0.0)
     start, stop = topology.vertices[topology.edge_vertices[edge]].transpose(1, 0, 2)
     side = _unit(stop - start)
     cosine = np.einsum("kj,kj->k", side, rows.along)
@@ -381,29 +378,6 @@ def _curvatures(
     bluff = np.where(crease & along_beam, turn, np.where(crease, np.inf, a))
     contact.curvature_along[at] = np.where(rows.line, np.inf, bluff)
     contact.curvature_across[at] = np.where(crease, np.where(along_beam, np.inf, turn / square), across)
-
-
-def _lift(
-    topology: Topology,
-    rows: _Rows,
-    point: FloatArray,
-    edge: IntArray,
-    shape: FloatArray,
-    normal: FloatArray,
-    smooth: FloatArray,
-    along: FloatArray,
-) -> FloatArray:
-    """Height of the smooth surface above the mesh: sag of the touched edge, and the way up to the summit."""
-    ends = topology.vertices[topology.edge_vertices[edge]]
-    side = ends[:, 1] - ends[:, 0]
-    length = np.linalg.norm(side, axis=1)
-    share = _share(point, ends[:, 0], ends[:, 1])
-    sag = 0.5 * share * (1.0 - share) * np.einsum("ki,kij,kj->k", side, shape, side)
-    upright = np.maximum(np.einsum("kj,kj->k", smooth, normal), NEARLY_PARALLEL)
-    slope = np.abs(np.einsum("kj,kj->k", smooth, rows.along)) / upright
-    # The summit along the beam is where the surface turns level, but not farther than the neighbouring facet.
-    step = np.minimum(slope / np.maximum(along, FLAT), length)
-    return np.where(edge >= 0, sag + slope * step - 0.5 * along * step**2, 0.0)
 
 
 def _share(point: FloatArray, start: FloatArray, stop: FloatArray) -> FloatArray:

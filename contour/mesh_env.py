@@ -21,6 +21,7 @@ from contour.first_contact import FirstContactSolver
 from contour.local_shape import FirstContact, TouchKind, describe
 from contour.mesh_io import as_triangles, load_scene
 from contour.motions import Motions, slides, turns
+from contour.tangency import GRAZING
 from contour.topology import build_topology
 
 __all__ = ["FirstContact", "MeshEnvironment", "TouchKind"]
@@ -125,7 +126,9 @@ class MeshEnvironment:
             raise UsageError(f"beam radius is {radius!r} m: it must be a finite number, zero or above")
         motions = self._motions(origins, directions, length, translation, rotation)
         touches = self._solver.solve(motions, radius)
-        return describe(self.topology, self.surface, self.body, motions, touches, self._centre, radius)
+        return describe(
+            self.topology, self.surface, self._solver.rays, self.body, motions, touches, self._centre, radius
+        )
 
     def segments_hit(self, starts: ArrayLike, ends: ArrayLike) -> BoolArray:
         """Whether each straight segment from start (n, 3) to end (n, 3) [m] meets any body (n,)."""
@@ -184,7 +187,8 @@ class MeshEnvironment:
             translation=np.repeat(-(rise + depth) * normal, m, axis=0),
             radius=radius,
         )
-        heights = np.where(contact.hit, rise - contact.travel + contact.lift, -np.inf)
+        facing = np.maximum(np.einsum("ij,ij->i", contact.normal, np.repeat(normal, m, axis=0)), GRAZING)
+        heights = np.where(contact.hit, rise - contact.travel + contact.lift / facing, -np.inf)
         return np.where(contact.touching, rise, heights).reshape(n, m)
 
     def _motions(

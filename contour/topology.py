@@ -58,6 +58,8 @@ class Topology:
     """As ``corners``, but with vertices on creases split, one for each smooth patch around them (f, 3)."""
     patch_count: int
     """Number of split vertices."""
+    face_patch: IntArray
+    """Label of the smooth patch that each face belongs to: those joined without crossing a crease (f,)."""
     crease_at: IntArray
     """One of the sharp edges at each welded vertex (v,), -1 where there is none."""
     curve: FloatArray
@@ -90,6 +92,7 @@ def build_topology(vertices: FloatArray, faces: IntArray, body: IntArray) -> Top
         sharp=sharp,
         patch_corners=patch_corners,
         patch_count=patch_count,
+        face_patch=_joined(edge_faces[~sharp], len(faces)),
         crease_at=crease_at,
         curve=_crease_curvature(welded, edge_vertices[sharp]),
     )
@@ -184,6 +187,13 @@ def _patches(
     )
     count, label = connected_components(graph, directed=False)
     return label.reshape(corners.shape).astype(np.int64), int(count)
+
+
+def _joined(pairs: IntArray, count: int) -> IntArray:
+    """Labels (count,) of what the pairs (k, 2) join."""
+    ones = np.ones(len(pairs), dtype=np.int8)
+    graph = coo_array((ones, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
 def _crease_curvature(vertices: FloatArray, creases: IntArray) -> FloatArray:

@@ -55,11 +55,10 @@ def test_sphere_has_its_normals_and_radii(radius, rng):
     assert (contact.kind == TouchKind.SIDE).all()
     assert np.abs(np.einsum("ij,ij->i", contact.normal, direction)).max() < 1e-12
     assert (np.einsum("ij,ij->i", contact.normal, way) < 0.0).all()
-    # Facets of 1.9 mm: the touched mesh edge is within half of that from the true place, 1.1 deg on 50 mm.
-    cosine = np.einsum("ij,ij->i", contact.normal, unit(contact.point))
-    assert cosine.min() > np.cos(np.deg2rad(1.2))
-    smooth = np.einsum("ij,ij->i", contact.normal_smooth, unit(contact.point))
-    assert smooth.min() > np.cos(np.deg2rad(0.01))
+    # The surface is met some 15 um sooner, which for skew motions is as far to the side: 0.02 deg on 50 mm.
+    for normal in (contact.normal, contact.normal_smooth):
+        cosine = np.einsum("ij,ij->i", normal, unit(contact.point))
+        assert cosine.min() > np.cos(np.deg2rad(0.03))
     np.testing.assert_allclose(contact.curvature_along, 20.0, rtol=1e-3)
     np.testing.assert_allclose(contact.curvature_across, 20.0, rtol=1e-3)
     # The point is on the mesh: inside the sphere by at most a chord's sag, l^2 / (8 R) = 15 um.
