@@ -160,6 +160,8 @@ class MeshInstrument:
         """Average the moments in free air."""
         if self._touching[which].any():
             raise InstrumentError("zero asked for while touching: release the antenna first")
+        if np.isnan(self._pose[which]).any():
+            raise InstrumentError("zero asked for before any approach: give the antenna a pose first")
         self._approaches[which] += 1
         samples = int(ZERO_TIME * self._machine.sensor.sample_rate)
         noise = self._machine.noise(self._key(which, 0), np.full(which.size, samples))
@@ -308,7 +310,9 @@ class MeshInstrument:
         end = origin.copy()
         end[:, :3] += base_way * moved[:, None]
         touching = outcome == Outcome.TOUCHING
-        end[touching] = begin[touching]
+        # Back to where it was free; an antenna that is new here has no such place yet.
+        before = self._pose[which]
+        end[touching] = np.where(np.isnan(before), begin, before)[touching]
         touched = (outcome == Outcome.FOUND) | (outcome == Outcome.BLOCKED)
         rows = np.flatnonzero(touched)
         normal_share = np.maximum(-np.sum(way * found.normal, axis=1), 0.05)
