@@ -22,6 +22,9 @@ SAME_SIDE = 0.3
 CHANGE_GAIN = 3.0
 """Expected deviation of the normal over what two extrapolations of it differ by more than their noise."""
 
+UNKNOWN_SHARE = 0.3
+"""That difference as share of the turn from chord to chord, where the last normal is not known."""
+
 
 def quarter_turn(vector: FloatArray) -> FloatArray:
     """(n, 2) vectors of Pi turned by +90 deg, from +x_s towards +z_s."""
@@ -74,7 +77,7 @@ def predicted_normal(
     # the last step; from its middle on the normal has turned more by five times what the two differ by.
     known = np.isfinite(sigma)
     spread = np.where(known, sigma, 0.0)
-    change = np.where(known, wrap_angle(parabola - mirrored), wrap_angle(chord - earlier))
+    change = np.where(known, wrap_angle(parabola - mirrored), UNKNOWN_SHARE * wrap_angle(chord - earlier))
     excess = np.sqrt(np.maximum(change**2 - noise**2 - spread**2, 0.0))
     alone = np.hypot(wrap_angle(chord - measured), spread)
     outward = np.where(three, parabola, mirrored)
