@@ -14,7 +14,7 @@ dropped, and of the rest the one that knows theta best is taken. Where none is l
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,6 +46,8 @@ FREE = 10.0
 """Sigma of unknowns that no prior holds, in units of the step [-, rad]."""
 SHARPEST = float(np.deg2rad(50.0))
 """A turn from one contact to the next above this is a corner, whatever else fits [rad]."""
+GENTLE = float(np.deg2rad(10.0))
+"""Turns from chord to chord below this are no corner's [rad]."""
 LARGEST_MISFIT = 3.0
 """Windows are dropped if chi^2 exceeds its mean by more than this many of its standard deviations."""
 FLOOR = float(np.deg2rad(0.05))
@@ -79,6 +81,7 @@ class _Readings:
     angle_weight: FloatArray  # (m, k)
     turn: FloatArray  # (m,) rad, how much the outline turns per step
     broken: BoolArray  # (m, k - 1) links across a corner
+    gentle: BoolArray  # (m,) all neighbours are there and no chord turns much
 
 
 def smooth_normals(
@@ -190,6 +193,7 @@ def _readings(
         good / (np.maximum(contacts.sigma_normal[index], FLOOR) ** 2 + (left_out * place**3 / 6.0) ** 2),
         turn,
         broken,
+        joined.all(axis=1) & (np.abs(bend).max(axis=1) < GENTLE),
     )
 
 
@@ -203,7 +207,18 @@ def _best(readings: _Readings) -> tuple[FloatArray, FloatArray, IntArray]:
         fitted, error, misfit = _fit(readings, window)
         better = whole & (misfit < LARGEST_MISFIT) & (error < sigma)
         theta[better], sigma[better], count[better] = fitted[better], error[better], int(window.sum()) - 1
+    # A sensed normal that is silently wrong contradicts every window. On a gentle stretch the others outvote it.
+    fitted, error, misfit = _fit(_without_own(readings), WINDOWS[0])
+    better = readings.gentle & (misfit < LARGEST_MISFIT) & (error < sigma)
+    theta[better], sigma[better], count[better] = fitted[better], error[better], 2 * SIDE
     return theta, sigma, count
+
+
+def _without_own(readings: _Readings) -> _Readings:
+    """The same, the sensed normal in the middle left out."""
+    weight = readings.angle_weight.copy()
+    weight[:, SIDE] = 0.0
+    return replace(readings, angle_weight=weight)
 
 
 def _fit(readings: _Readings, window: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -164,6 +164,9 @@ def test_a_normal_that_is_silently_wrong_spoils_no_neighbour():
     assert np.median(error[beside]) < np.deg2rad(0.3)
     # 160 contacts: three deviations of a share of 0.95 are 0.05.
     assert np.mean(error[beside] < 1.96 * smoothed.sigma[beside]) > 0.9
+    # And on a stretch as gentle as this, 6 deg a step, it is outvoted itself.
+    assert np.median(error[order == 30]) < np.deg2rad(0.5)
+    assert error[order == 30].max() < np.deg2rad(1.5)
 
 
 def test_linear_curvature_is_met_exactly():
