@@ -136,9 +136,9 @@ def follow(
             now = instrument.machine_time
             contacts = replace(contacts, machine_time=now[contacts.which] - begun[contacts.which])
             begun[contacts.which] = now[contacts.which]
+            tracer.tell(contacts)
             if observe is not None:
                 observe(contacts)
-            tracer.tell(contacts)
             instrument.release(contacts.which, tracer.clearance(contacts.which))
             parts.append(contacts)
     return (tracer.place(Contacts.concatenate(parts)) if parts else None), tracer.summary()
