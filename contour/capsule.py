@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contour.sweep import Where, plane_segments
+from contour.vectors import cross, dot
 
 __all__ = ["Features", "slide_features", "turn_features"]
 
@@ -159,18 +160,18 @@ def _slide_end(
 ) -> None:
     """A ball that moves straight against face, edges and vertices."""
     normal = _unit_normal(corners)
-    gap = np.einsum("kj,kj->k", centre - corners[:, 0], normal)
-    rate = np.einsum("kj,kj->k", way, normal)
+    gap = dot(centre - corners[:, 0], normal)
+    rate = dot(way, normal)
     inside, closing = np.abs(gap) <= radius, gap * rate < 0.0
     travel = np.where(inside, 0.0, (np.abs(gap) - radius) / np.where(closing, np.abs(rate), 1.0))
     met = (inside | closing) & _over_face(corners, centre + travel[:, None] * way)
     found.add(where, travel, place, met, rows)
     for i in range(3):
         start, side = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
-        square = np.einsum("kj,kj->k", side, side)
+        square = dot(side, side)
         from_start = centre - start
         travel, met = _ball_root(_square_to(from_start, side, square), _square_to(way, side, square), radius)
-        share = np.einsum("kj,kj->k", from_start + travel[:, None] * way, side) / square
+        share = dot(from_start + travel[:, None] * way, side) / square
         found.add(where, travel, place, met & _between(share, 1.0), rows)
         travel, met = _ball_root(from_start, way, radius)
         found.add(where, travel, place, met, rows)
@@ -178,9 +179,9 @@ def _slide_end(
 
 def _ball_root(start: FloatArray, way: FloatArray, radius: float) -> tuple[FloatArray, BoolArray]:
     """The travel at which |start + travel way| shrinks to the radius."""
-    a = np.einsum("kj,kj->k", way, way)
-    b = np.einsum("kj,kj->k", start, way)
-    c = np.einsum("kj,kj->k", start, start) - radius * radius
+    a = dot(way, way)
+    b = dot(start, way)
+    c = dot(start, start) - radius * radius
     root = b * b - a * c
     inside = c <= 0.0
     met = inside | ((root >= 0.0) & (b < 0.0))
@@ -267,7 +268,7 @@ def _turn_tip(
 ) -> None:
     """Tip against face, edges and vertices."""
     normal = _unit_normal(corners)
-    plane = np.einsum("kj,kj->k", corners[:, 0], normal)
+    plane = dot(corners[:, 0], normal)
     size = length * np.hypot(normal[:, 0], normal[:, 1])
     phase = np.arctan2(normal[:, 1], normal[:, 0])
     safe = np.where(size > 0.0, size, 1.0)
@@ -283,7 +284,7 @@ def _turn_tip(
         start = corners[:, i]
         # |tip - P|^2 = r^2: L^2 + P^2 - r^2 = 2 L (cos X + sin Y), entered from below the phase.
         reach = 2.0 * length * np.hypot(start[:, 0], start[:, 1])
-        level = length**2 + np.einsum("kj,kj->k", start, start) - radius * radius
+        level = length**2 + dot(start, start) - radius * radius
         met = level <= reach
         angle = np.arccos(np.clip(level / np.where(reach > 0.0, reach, 1.0), -1.0, 1.0))
         travel = np.mod(np.arctan2(start[:, 1], start[:, 0]) - angle, 2.0 * np.pi)
@@ -304,10 +305,10 @@ def _tip_edge_root(
     |h| + |h|' x - M x^2 / 2: steps to it never pass a root and converge quadratically. Entries beside the
     edge's ends, and what is inside the tube about its line, are walked through.
     """
-    square = np.einsum("kj,kj->k", side, side)
+    square = dot(side, side)
     u = side / np.sqrt(square)[:, None]
-    p = np.einsum("kj,kj->k", start, u)
-    level = length**2 + np.einsum("kj,kj->k", start, start) - radius * radius
+    p = dot(start, u)
+    level = length**2 + dot(start, start) - radius * radius
     lean = length * np.hypot(u[:, 0], u[:, 1])
     bend = 2.0 * length * np.hypot(start[:, 0], start[:, 1]) + 4.0 * lean**2 + 2.0 * np.abs(p) * lean
     tiny = 1e-14 * length**2
@@ -367,17 +368,17 @@ def _between(values: FloatArray, top: FloatArray | float) -> BoolArray:
 
 
 def _square_to(vectors: FloatArray, side: FloatArray, square: FloatArray) -> FloatArray:
-    return np.asarray(vectors - (np.einsum("kj,kj->k", vectors, side) / square)[:, None] * side)
+    return np.asarray(vectors - (dot(vectors, side) / square)[:, None] * side)
 
 
 def _unit_normal(corners: FloatArray) -> FloatArray:
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(normal / np.linalg.norm(normal, axis=1)[:, None])
 
 
 def _over_face(corners: FloatArray, point: FloatArray) -> BoolArray:
     """Whether points (k, 3) lie over the inside of their triangles."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     offset = corners - point[:, None]
-    parts = np.einsum("kcj,kj->kc", np.cross(offset[:, [1, 2, 0]], offset[:, [2, 0, 1]]), normal)
-    return np.asarray((parts >= -ON_FEATURE * np.einsum("kj,kj->k", normal, normal)[:, None]).all(axis=1))
+    parts = np.einsum("kcj,kj->kc", cross(offset[:, [1, 2, 0]], offset[:, [2, 0, 1]]), normal)
+    return np.asarray((parts >= -ON_FEATURE * dot(normal, normal)[:, None]).all(axis=1))

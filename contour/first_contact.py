@@ -18,6 +18,7 @@ from contour.capsule import Features, slide_features, turn_features
 from contour.motions import AXIAL, Motions
 from contour.rays import RayCaster
 from contour.sweep import Pieces, Where, axial_pieces, slide_pieces, turn_pieces
+from contour.vectors import cross, dot
 
 __all__ = ["TIE", "FirstContactSolver", "Touches"]
 
@@ -138,7 +139,7 @@ class FirstContactSolver:
     def _square(self, motions: Motions, owner: IntArray, face: IntArray) -> FloatArray:
         """Coordinates along the beam, ahead of it and normal to the sweep of the three corners (3, 3, k)."""
         axes = np.stack(
-            [motions.direction, np.cross(motions.frame[:, 2], motions.direction), motions.frame[:, 2]], axis=1
+            [motions.direction, cross(motions.frame[:, 2], motions.direction), motions.frame[:, 2]], axis=1
         )
         corners = self.triangles.take(face, axis=0) - motions.base.take(owner, axis=0)[:, None]
         return np.asarray(np.einsum("kvj,ksj->svk", corners, axes.take(owner, axis=0)))
@@ -262,7 +263,7 @@ def _axial(motions: Motions) -> NDArray[np.bool_]:
     """Which beams move along themselves (n,)."""
     if motions.turning:
         return np.zeros(len(motions.base), dtype=np.bool_)
-    sine = np.linalg.norm(np.cross(motions.direction, motions.advance), axis=1)
+    sine = np.linalg.norm(cross(motions.direction, motions.advance), axis=1)
     return np.asarray(sine < AXIAL)
 
 
@@ -297,8 +298,8 @@ def _features(
     length = motions.length.take(owner)
     if motions.turning:
         return turn_features(local, length, radius, bound.take(owner) + TIE / length)
-    along = np.einsum("nj,nj->n", motions.advance, motions.direction)
-    sine = np.linalg.norm(np.cross(motions.direction, motions.advance), axis=1)
+    along = dot(motions.advance, motions.direction)
+    sine = np.linalg.norm(cross(motions.direction, motions.advance), axis=1)
     ahead = np.where(sine < AXIAL, 0.0, sine)
     return slide_features(local, length, radius, along.take(owner), ahead.take(owner))
 

@@ -19,8 +19,9 @@ from contour.first_contact import Touches
 from contour.motions import Motions
 from contour.rays import RayCaster
 from contour.sweep import Where
-from contour.tangency import Beams, closest_barycentric, tangencies
+from contour.tangency import Beams, tangencies
 from contour.topology import Topology
+from contour.vectors import cross, dot, unit
 
 __all__ = ["FirstContact", "TouchKind", "describe"]
 
@@ -160,10 +161,8 @@ def describe(
         topology, surface, rays, rows.face[bent], barycentric[bent], smooth[bent], _beams(rows, bent)
     )
     smooth[bent] = found.normal
-    normal[bent] = _unit(
-        found.normal - np.einsum("kj,kj->k", found.normal, rows.along[bent])[:, None] * rows.along[bent]
-    )
-    contact.lift[at[bent]] = -found.back * np.einsum("kj,kj->k", rows.motion[bent], normal[bent])
+    normal[bent] = unit(found.normal - dot(found.normal, rows.along[bent])[:, None] * rows.along[bent])
+    contact.lift[at[bent]] = -found.back * dot(rows.motion[bent], normal[bent])
     spot[bent] = rows.axis[bent] + found.step[:, None] * rows.along[bent] - radius * normal[bent]
     rows.distance[bent] += found.step
     rows.face[bent], barycentric[bent] = found.face, found.barycentric
@@ -208,24 +207,11 @@ def _rows(
 ) -> _Rows:
     index = np.nonzero(np.isfinite(touches.travel))[0]
     base, along, motion = motions.rows(index).moved(touches.travel[index])
-    face, distance = touches.face[index], touches.distance[index]
-    span = touches.far[index] - touches.near[index]
-    # On a smooth surface a facet that happens to lie along the beam is no line: its surface is bent.
-    ends = []
-    for place, at in ((touches.near, touches.near_face), (touches.far, touches.far_face)):
-        corners = topology.vertices[topology.corners[at[index]]]
-        ends.append(_barycentric(corners, base + place[index, None] * along, radius))
-    near_face = touches.near_face[index]
-    one, two = surface.normal(near_face, ends[0]), surface.normal(touches.far_face[index], ends[1])
-    two = np.where((np.einsum("kj,kj->k", one, two) < 0.0)[:, None], -two, two)
-    sag = np.abs(np.einsum("kj,kj->k", two - one, along)) * span / 8.0
-    creased = (_on_edges(ends[0]) & topology.sharp[topology.face_edges[near_face]]).any(axis=1)
-    line = span > np.where(creased, LINE_FROM_CREASE, LINE)
-    line &= (sag < LINE_SAG) & (touches.where[index] < Where.THROUGH)
-    distance = np.where(line, touches.near[index], distance)
+    line = _lines(topology, surface, touches, index, base, along, radius)
+    distance = np.where(line, touches.near[index], touches.distance[index])
     return _Rows(
         index=index,
-        face=np.where(line, near_face, face),
+        face=np.where(line, touches.near_face[index], touches.face[index]),
         # Tip or base may lie on the line as well; what is felt is its near end.
         where=np.where(line, Where.EDGE_0, touches.where[index]),
         line=line,
@@ -235,6 +221,36 @@ def _rows(
         motion=motion,
         radius=radius,
     )
+
+
+def _lines(
+    topology: Topology,
+    surface: SmoothSurface,
+    touches: Touches,
+    index: IntArray,
+    base: FloatArray,
+    along: FloatArray,
+    radius: float,
+) -> BoolArray:
+    """Which of the touches index (k,) by beams at base along (k, 3) are lines (k,)."""
+    line = np.zeros(len(index), dtype=np.bool_)
+    span = touches.far[index] - touches.near[index]
+    long = np.nonzero((span > LINE_FROM_CREASE) & (touches.where[index] < Where.THROUGH))[0]
+    if not len(long):
+        return line
+    span, base, along, index = span[long], base[long], along[long], index[long]
+    # On a smooth surface a facet that happens to lie along the beam is no line: its surface is bent.
+    ends = []
+    for place, at in ((touches.near, touches.near_face), (touches.far, touches.far_face)):
+        corners = topology.vertices[topology.corners[at[index]]]
+        ends.append(_barycentric(corners, base + place[index, None] * along, radius))
+    near_face = touches.near_face[index]
+    one, two = surface.normal(near_face, ends[0]), surface.normal(touches.far_face[index], ends[1])
+    two = np.where((dot(one, two) < 0.0)[:, None], -two, two)
+    sag = np.abs(dot(two - one, along)) * span / 8.0
+    creased = (_on_edges(ends[0]) & topology.sharp[topology.face_edges[near_face]]).any(axis=1)
+    line[long] = (span > np.where(creased, LINE_FROM_CREASE, LINE)) & (sag < LINE_SAG)
+    return line
 
 
 def _beams(rows: _Rows, index: IntArray) -> Beams:
@@ -251,13 +267,36 @@ def _on_edges(barycentric: FloatArray) -> BoolArray:
 def _barycentric(corners: FloatArray, point: FloatArray, radius: float) -> FloatArray:
     """Of the place on each triangle (k, 3, 3) that is nearest to the point (k, 3)."""
     if radius > 0.0:
-        return closest_barycentric(corners, point)
+        return _closest(corners, point)
     # The point lies on the triangle but for rounding.
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     from_point = corners - point[:, None]
-    parts = np.cross(from_point[:, [1, 2, 0]], from_point[:, [2, 0, 1]])
+    parts = cross(from_point[:, [1, 2, 0]], from_point[:, [2, 0, 1]])
     weights = np.maximum(np.einsum("kcj,kj->kc", parts, normal), 0.0)
     return np.asarray(weights / weights.sum(axis=1)[:, None])
+
+
+def _closest(corners: FloatArray, point: FloatArray) -> FloatArray:
+    """Barycentric coordinates (k, 3) of the place on each triangle (k, 3, 3) nearest to its point (k, 3)."""
+    k = len(point)
+    normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    from_point = corners - point[:, None]
+    weights = np.einsum("kcj,kj->kc", cross(from_point[:, [1, 2, 0]], from_point[:, [2, 0, 1]]), normal)
+    best = weights / weights.sum(axis=1)[:, None]
+    outside = (weights < 0.0).any(axis=1)
+    gap = np.where(outside, np.inf, -1.0)
+    for i in range(3):
+        start, side = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
+        share = dot(point - start, side) / dot(side, side)
+        share = np.clip(share, 0.0, 1.0)
+        distance = np.linalg.norm(start + share[:, None] * side - point, axis=1)
+        nearer = np.nonzero(distance < gap)[0]
+        gap[nearer] = distance[nearer]
+        best[nearer] = 0.0
+        best[nearer, i] = 1.0 - share[nearer]
+        best[nearer, (i + 1) % 3] = share[nearer]
+    assert best.shape == (k, 3)
+    return np.asarray(best)
 
 
 def _edges(topology: Topology, rows: _Rows, barycentric: FloatArray) -> IntArray:
@@ -282,7 +321,7 @@ def _edges(topology: Topology, rows: _Rows, barycentric: FloatArray) -> IntArray
 def _runs_along(topology: Topology, rows: _Rows, edge: IntArray) -> BoolArray:
     """Whether edges (k,) are parallel to the beams."""
     ends = topology.vertices[topology.edge_vertices[edge]]
-    cosine = np.einsum("kj,kj->k", _unit(ends[:, 1] - ends[:, 0]), rows.along)
+    cosine = dot(unit(ends[:, 1] - ends[:, 0]), rows.along)
     return np.asarray(np.abs(cosine) > np.cos(PARALLEL))
 
 
@@ -298,26 +337,26 @@ def _normals(
     """The contact normal and the smooth surface's, both facing the beam (k, 3)."""
     smooth = surface.normal(rows.face, barycentric)
     ends = topology.vertices[topology.edge_vertices[edge]]
-    side = _unit(ends[:, 1] - ends[:, 0])
-    across = np.cross(side, rows.along)
+    side = unit(ends[:, 1] - ends[:, 0])
+    across = cross(side, rows.along)
     sine = np.linalg.norm(across, axis=1)
     told = (edge >= 0) & (sine > NEARLY_PARALLEL)
     facing = np.where(told[:, None], across / np.where(told, sine, 1.0)[:, None], topology.normals[rows.face])
-    away = np.einsum("kj,kj->k", facing, rows.motion)
+    away = dot(facing, rows.motion)
     facing = np.where((away > 0.0)[:, None], -facing, facing)
     if rows.radius > 0.0:
         gap = rows.axis - point
         apart = np.linalg.norm(gap, axis=1)
         clear = apart > 0.5 * rows.radius  # less only for beams that stand inside the surface from the start
         facing = np.where(clear[:, None], gap / np.where(clear, apart, 1.0)[:, None], facing)
-    turned = np.einsum("kj,kj->k", smooth, facing) < 0.0
+    turned = dot(smooth, facing) < 0.0
     smooth = np.where(turned[:, None], -smooth, smooth)
     if rows.radius <= 0.0:
         corner = np.nonzero(crease & ~told & (rows.where < Where.TIP))[0]
         facing[corner] = _corner_normal(topology, rows.along[corner], rows.motion[corner], edge[corner])
     by_end = (rows.where == Where.TIP) | (rows.where == Where.BASE)
     smooth = np.where(crease[:, None] & ~by_end[:, None], facing, smooth)
-    normal = smooth - np.einsum("kj,kj->k", smooth, rows.along)[:, None] * rows.along
+    normal = smooth - dot(smooth, rows.along)[:, None] * rows.along
     length = np.linalg.norm(normal, axis=1)
     # A beam that pierces a face head on has no normal square to it but the way it came.
     lost = length < NEARLY_PARALLEL
@@ -332,8 +371,8 @@ def _corner_normal(topology: Topology, along: FloatArray, motion: FloatArray, ed
     sides = topology.normals[faces]
     flip = np.einsum("kcj,kj->kc", sides, motion) > 0.0
     sides = np.where(flip[..., None], -sides, sides)
-    back = _unit(np.einsum("kj,kj->k", motion, along)[:, None] * along - motion)
-    turn = np.cross(along, back)
+    back = unit(dot(motion, along)[:, None] * along - motion)
+    turn = cross(along, back)
     angle = np.arctan2(np.einsum("kcj,kj->kc", sides, turn), np.einsum("kcj,kj->kc", sides, back))
     nearest = np.clip(0.0, angle.min(axis=1), angle.max(axis=1))
     return np.asarray(np.cos(nearest)[:, None] * back + np.sin(nearest)[:, None] * turn)
@@ -353,27 +392,27 @@ def _curvatures(
     normal = contact.normal[at]
     by_end = np.isin(contact.kind[at], [TouchKind.TIP, TouchKind.BASE])
     # An end's normal is not square to the beam: take the directions along and across within the surface.
-    first = rows.along - np.where(by_end, np.einsum("kj,kj->k", rows.along, normal), 0.0)[:, None] * normal
+    first = rows.along - np.where(by_end, dot(rows.along, normal), 0.0)[:, None] * normal
     head_on = np.linalg.norm(first, axis=1) < NEARLY_PARALLEL
-    first[head_on] = np.cross(normal[head_on], np.eye(3)[np.argmin(np.abs(normal[head_on]), axis=1)])
-    first = _unit(first)
-    second = np.cross(first, normal)
+    first[head_on] = cross(normal[head_on], np.eye(3)[np.argmin(np.abs(normal[head_on]), axis=1)])
+    first = unit(first)
+    second = cross(first, normal)
     shape = surface.shape_operator(rows.face, barycentric)
     raw = surface.normal(rows.face, barycentric)
-    sign = np.where(np.einsum("kj,kj->k", raw, normal) < 0.0, -1.0, 1.0)
+    sign = np.where(dot(raw, normal) < 0.0, -1.0, 1.0)
     shape = shape * sign[:, None, None]
     a = np.einsum("ki,kij,kj->k", first, shape, first)
     b = np.einsum("ki,kij,kj->k", first, shape, second)
     c = np.einsum("ki,kij,kj->k", second, shape, second)
     across = np.where(by_end, c, c - b * b * a / (a * a + FLAT * FLAT))
     start, stop = topology.vertices[topology.edge_vertices[edge]].transpose(1, 0, 2)
-    side = _unit(stop - start)
-    cosine = np.einsum("kj,kj->k", side, rows.along)
+    side = unit(stop - start)
+    cosine = dot(side, rows.along)
     square = np.maximum(1.0 - cosine**2, PARALLEL**2)
     share = _share(point, start, stop)
     curve = topology.curve[topology.edge_vertices[edge]]
     bend = (1.0 - share)[:, None] * curve[:, 0] + share[:, None] * curve[:, 1]
-    turn = 0.0 - np.einsum("kj,kj->k", bend, normal)
+    turn = 0.0 - dot(bend, normal)
     along_beam = _runs_along(topology, rows, edge)
     bluff = np.where(crease & along_beam, turn, np.where(crease, np.inf, a))
     contact.curvature_along[at] = np.where(rows.line, np.inf, bluff)
@@ -382,7 +421,7 @@ def _curvatures(
 
 def _share(point: FloatArray, start: FloatArray, stop: FloatArray) -> FloatArray:
     side = stop - start
-    share = np.einsum("kj,kj->k", point - start, side) / np.einsum("kj,kj->k", side, side)
+    share = dot(point - start, side) / dot(side, side)
     return np.asarray(np.clip(share, 0.0, 1.0))
 
 
@@ -396,11 +435,7 @@ def _creases(
 ) -> None:
     at, point, edge = at[crease], point[crease], edge[crease]
     ends = topology.vertices[topology.edge_vertices[edge]]
-    contact.edge_direction[at] = _unit(ends[:, 1] - ends[:, 0])
+    contact.edge_direction[at] = unit(ends[:, 1] - ends[:, 0])
     contact.dihedral[at] = topology.dihedral[edge]
-    across = np.cross(contact.direction[at], contact.normal[at])
+    across = cross(contact.direction[at], contact.normal[at])
     contact.edge_interval[at] = np.sort(np.einsum("kej,kj->ke", ends - point[:, None], across), axis=1)
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

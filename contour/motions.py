@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from contour.vectors import cross
+
 __all__ = ["AXIAL", "Motions", "slides", "turns"]
 
 FloatArray = NDArray[np.float64]
@@ -57,7 +59,7 @@ class Motions:
 
 def _any_square(direction: FloatArray) -> FloatArray:
     """Unit vectors square to directions (n, 3)."""
-    square = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction), axis=1)])
+    square = cross(direction, np.eye(3)[np.argmin(np.abs(direction), axis=1)])
     return np.asarray(square / np.linalg.norm(square, axis=1)[:, None])
 
 
@@ -81,7 +83,7 @@ def slides(base: FloatArray, direction: FloatArray, length: FloatArray, translat
     frame = np.zeros((len(base), 3, 3))
     frame[:, 0] = direction - (along / sine)[:, None] * across
     frame[:, 1] = across / np.where(axial, 1.0, sine)[:, None]
-    frame[:, 2] = np.cross(direction, across)
+    frame[:, 2] = cross(direction, across)
     return Motions(
         turning=False,
         base=base,
@@ -97,7 +99,7 @@ def turns(
     base: FloatArray, direction: FloatArray, length: FloatArray, axis: FloatArray, angle: FloatArray
 ) -> Motions:
     """Beams that turn about their bases, by angle (n,) [rad] >= 0 about unit axes (n, 3) normal to them."""
-    advance = np.cross(axis, direction)
+    advance = cross(axis, direction)
     frame = np.stack([direction, advance, axis], axis=1)
     return Motions(
         turning=True, base=base, direction=direction, advance=advance, frame=frame, length=length, limit=angle

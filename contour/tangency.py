@@ -6,7 +6,7 @@ of the mesh the surface is the paraboloid of the interpolated normal n and shape
 the axis of a beam of radius r it is the one offset by r, whose shape operator is S / (1 + r S). A beam that is
 moved by x along itself and back by h along its motion touches that paraboloid where two equations hold: height
 zero, and normal square to the beam (docs/derivations-geometry.md). They are solved about the touched place,
-then about the places thus found.
+then once more about the place thus found.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from contour.curvature import SmoothSurface
 from contour.rays import RayCaster
 from contour.topology import Topology
+from contour.vectors import dot, unit
 
-__all__ = ["GRAZING", "Beams", "Tangency", "closest_barycentric", "tangencies"]
+__all__ = ["GRAZING", "Beams", "Tangency", "tangencies"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -30,8 +31,6 @@ FLAT = 0.1
 """Curvatures along the beam below this do not tell where along it the surface is touched [1/m]."""
 STEPS = 3
 """Newton steps for each paraboloid; the equations are nearly linear."""
-ROUNDS = 2
-"""Paraboloids after the first, which is about the touched place of the mesh."""
 FAR = 20e-3
 """Farther along the beam than this no smooth surface is followed [m]."""
 GRAZING = 0.05
@@ -95,19 +94,18 @@ def tangencies(
     x, h, square, told = first.touching(beams)
     rows = np.nonzero(told & (np.abs(h) < rise))[0]
     x, h, square = x[rows], h[rows], square[rows]
-    for _ in range(ROUNDS):
-        some = beams.rows(rows)
-        place = some.axis + x[:, None] * some.along - h[:, None] * some.motion - beams.radius * square
-        below = _below(rays, place, square, rise[rows])
-        met = np.nonzero((below >= 0) & (topology.face_patch[below] == topology.face_patch[face[rows]]))[0]
-        rows, below, place, some = rows[met], below[met], place[met], some.rows(met)
-        share = closest_barycentric(topology.vertices[topology.corners[below]], place)
-        local = _Paraboloid(topology, surface, below, share, square[met], beams.radius)
-        x, h, square, told = local.touching(some)
-        good = np.nonzero(told & (np.abs(h) < rise[rows]))[0]
-        rows, below, share = rows[good], below[good], share[good]
-        x, h, square = x[good], h[good], square[good]
-    step[rows], back[rows], normal[rows], at[rows], where[rows] = x, h, square, below, share
+    some = beams.rows(rows)
+    place = some.axis + x[:, None] * some.along - h[:, None] * some.motion - beams.radius * square
+    below = _below(rays, place, square, rise[rows])
+    met = np.nonzero((below >= 0) & (topology.face_patch[below] == topology.face_patch[face[rows]]))[0]
+    rows, below, place = rows[met], below[met], place[met]
+    share = _foot(topology.vertices[topology.corners[below]], place)
+    second = _Paraboloid(topology, surface, below, share, square[met], beams.radius)
+    x, h, square, told = second.touching(beams.rows(rows))
+    good = np.nonzero(told & (np.abs(h) < rise[rows]))[0]
+    rows = rows[good]
+    step[rows], back[rows], normal[rows] = x[good], h[good], square[good]
+    at[rows], where[rows] = below[good], share[good]
     return Tangency(step=step, back=back, normal=normal, face=at, barycentric=where)
 
 
@@ -125,9 +123,8 @@ class _Paraboloid:
     ) -> None:
         corners = topology.vertices[topology.corners[face]]
         normals, shape = surface.corner_normals(face), surface.shape_operator(face, barycentric)
-        normal = np.einsum("kc,kcj->kj", barycentric, normals)
-        normal /= np.linalg.norm(normal, axis=1)[:, None]
-        sign = np.where(np.einsum("kj,kj->k", normal, facing) < 0.0, -1.0, 1.0)
+        normal = unit(np.einsum("kc,kcj->kj", barycentric, normals))
+        sign = np.where(dot(normal, facing) < 0.0, -1.0, 1.0)
         self._normal = sign[:, None] * normal
         shape = sign[:, None, None] * shape
         # The mesh sags by the parts b_i b_j / 2 of E . (n_j - n_i) along its sides E, which is E S E.
@@ -179,10 +176,10 @@ class _Terms:
         self._wn, w = _parts(beams.motion, normal)
         self._turns = tuple(np.einsum("kij,kj->ki", shape, part) for part in (e, d, w))
         turned_e, turned_d, turned_w = self._turns
-        self._ee, self._ed, self._ew = (np.einsum("kj,kj->k", turned_e, part) for part in (e, d, w))
-        self.dd = np.einsum("kj,kj->k", turned_d, d)
-        self.dw = np.einsum("kj,kj->k", turned_d, w)
-        self._ww = np.einsum("kj,kj->k", turned_w, w)
+        self._ee, self._ed, self._ew = (dot(turned_e, part) for part in (e, d, w))
+        self.dd = dot(turned_d, d)
+        self.dw = dot(turned_d, w)
+        self._ww = dot(turned_w, w)
 
     def height(self, x: FloatArray | float, h: FloatArray) -> FloatArray:
         """Of the axis moved by x along the beam and by h back, over the surface (k,) [m]."""
@@ -202,12 +199,12 @@ class _Terms:
         """Of the surface there, unit (k, 3)."""
         e, d, w = self._turns
         normal = self._unit + e + x[:, None] * d - h[:, None] * w
-        return np.asarray(normal / np.linalg.norm(normal, axis=1)[:, None])
+        return unit(normal)
 
 
 def _parts(vectors: FloatArray, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Along the normal (k,), and the rest (k, 3)."""
-    height = np.einsum("kj,kj->k", vectors, normal)
+    height = dot(vectors, normal)
     return height, vectors - height[:, None] * normal
 
 
@@ -217,24 +214,14 @@ def _below(rays: RayCaster, place: FloatArray, normal: FloatArray, rise: FloatAr
     return face
 
 
-def closest_barycentric(corners: FloatArray, point: FloatArray) -> FloatArray:
-    """Barycentric coordinates (k, 3) of the place on each triangle (k, 3, 3) nearest to its point (k, 3)."""
-    k = len(point)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    from_point = corners - point[:, None]
-    weights = np.einsum("kcj,kj->kc", np.cross(from_point[:, [1, 2, 0]], from_point[:, [2, 0, 1]]), normal)
-    best = weights / weights.sum(axis=1)[:, None]
-    outside = (weights < 0.0).any(axis=1)
-    gap = np.where(outside, np.inf, -1.0)
-    for i in range(3):
-        start, side = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
-        share = np.einsum("kj,kj->k", point - start, side) / np.einsum("kj,kj->k", side, side)
-        share = np.clip(share, 0.0, 1.0)
-        distance = np.linalg.norm(start + share[:, None] * side - point, axis=1)
-        nearer = np.nonzero(distance < gap)[0]
-        gap[nearer] = distance[nearer]
-        best[nearer] = 0.0
-        best[nearer, i] = 1.0 - share[nearer]
-        best[nearer, (i + 1) % 3] = share[nearer]
-    assert best.shape == (k, 3)
-    return np.asarray(best)
+def _foot(corners: FloatArray, place: FloatArray) -> FloatArray:
+    """Barycentric coordinates (k, 3) of the place on each triangle (k, 3, 3) under its point (k, 3)."""
+    one, two, to = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], place - corners[:, 0]
+    products = ((one, one), (one, two), (two, two), (to, one), (to, two))
+    a, b, c, p, q = (dot(left, right) for left, right in products)
+    share = np.stack([a * c - b * b - (c - b) * p - (a - b) * q, c * p - b * q, a * q - b * p], axis=1)
+    # The ray that found the face may have met it beside its rim by a rounding.
+    share = np.maximum(share, 0.0)
+    total = share.sum(axis=1)[:, None]
+    # On slivers too thin for these products the middle will do: the surface is solved about it, not there.
+    return np.asarray(np.where(total > 0.0, share / np.where(total > 0.0, total, 1.0), 1.0 / 3.0))

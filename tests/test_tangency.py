@@ -46,8 +46,9 @@ def test_a_skew_beam_finds_the_rod_behind_its_facets(sections, radius, rng):
     base, direction, way = base[side], direction[side], way[side]
     normal = unit(np.cross(direction, [0.0, 0.0, 1.0]))
     normal *= -np.sign(dot(normal, way))[:, None]
-    np.testing.assert_allclose(contact.normal[side], normal, atol=1e-6)
-    np.testing.assert_allclose(contact.normal_smooth[side], normal, atol=1e-6)
+    # The facets turn by 0.26 and 0.1.
+    np.testing.assert_allclose(contact.normal[side], normal, atol=5e-5)
+    np.testing.assert_allclose(contact.normal_smooth[side], normal, atol=5e-5)
     # Where two skew lines are nearest, at the travel that brings them to the sum of the radii.
     travel = (0.006 + radius - dot(base, normal)) / dot(way, normal)
     at = base + travel[:, None] * way
