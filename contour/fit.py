@@ -50,11 +50,11 @@ PARAMETERS = 5
 
 _STEP = np.array([0.0, 2e-4, 2e-3, 2e-3, 1e-2])
 """Differences for the derivatives; the moment follows ln s exactly and needs none."""
-_LOWER = np.array([np.log(2e-3), -np.inf, np.log(np.tan(np.deg2rad(0.3))), -4.0, -400.0])
+_LOWER = np.array([np.log(2e-3), -np.inf, np.log(np.tan(np.deg2rad(0.3))), -0.3, -400.0])
 _UPPER = np.array([np.log(1.0), np.inf, np.log(np.tan(np.deg2rad(45.0))), 4.0, 400.0])
 _MAX_STEP = np.array([0.5, 0.15, 0.7, 0.5, 5.0])
-_ITERATIONS = 8
-_SMALL_GAIN = 0.01
+_ITERATIONS = 7
+_SMALL_GAIN = 0.03
 """Fall of the cost (a chi^2) that is not worth another iteration."""
 _LOST = 1e3
 """Damping at which small promises mean that the iteration is stuck, not that it is done."""
@@ -63,6 +63,8 @@ GAUSS = 0.5 / np.sqrt(3.0) * np.array([-1.0, 1.0])
 """Where to evaluate the mean over a bin, in widths of it from its middle: exact for a force cubic in the angle."""
 NUISANCES = 8
 """Unknowns that belong to one push: two offsets, two drifts, the depth of touch, two biases of direction, a gain."""
+UNSEEN_TILT = 0.2
+"""Squared tangent of a tip's tilt that may always be there: pushes hardly tell it."""
 NO_GAIN = 1e-9
 """Standard deviation that stands for none."""
 DEPTH_SIGMA = 6e-6
@@ -85,6 +87,8 @@ class ModelError:
     """Of the moment, one value a push, relative; it cannot be told from s."""
     gain_outside: float = 5e-4
     """More of it per squared tangent of the angle between push and normal beyond the friction cone."""
+    tip_direction: float = float(np.deg2rad(0.8))
+    """Of the force's direction at the tip, one value a stroke and one a bin, per squared tangent of the tilt [rad]."""
     tip_gain: float = 2e-3
     """Of the moment of a touch with the tip, one value a push, relative."""
     tip_gain_tilt: float = 6e-3
@@ -268,7 +272,9 @@ def _normal_equations(data: PushData, x: FloatArray, antenna: Antenna, error: Mo
     used = data.count > 0.0
     noise = antenna.sensor.moment_noise**2 / np.maximum(data.count, 1.0)
     along = noise + (error.moment_bin * peak) ** 2
-    across = noise + (error.direction_bin * moment) ** 2
+    tilt = np.where(data.tip, x[:, R_ALONG] ** 2 + UNSEEN_TILT, 0.0)
+    astray = np.hypot(error.direction_bin, error.tip_direction * tilt)
+    across = noise + (astray[:, None] * moment) ** 2
     weight = np.where(
         used[..., None], 1.0 / np.stack((along, across), axis=-1), 0.0
     )  # in the frame (unit, aside)
@@ -293,9 +299,9 @@ def _normal_equations(data: PushData, x: FloatArray, antenna: Antenna, error: Mo
     spread[:, 0:2] = data.tare_sigma[:, None] ** 2
     spread[:, 2:4] = max(antenna.sensor.moment_drift, 1e-9) ** 2
     spread[:, 4] = data.depth_sigma**2
-    spread[:, 5:7] = error.direction_bias**2
+    spread[:, 5:7] = (error.direction_bias**2 + (error.tip_direction * tilt) ** 2)[:, None]
     # Of side contacts the gain cannot be told from s; it is put to the distance's sigma in the end.
-    tip_gain = error.tip_gain + error.tip_gain_tilt * x[:, R_ALONG] ** 2
+    tip_gain = error.tip_gain + error.tip_gain_tilt * tilt
     spread[:, 7] = np.where(data.tip, tip_gain, NO_GAIN) ** 2
     columns = np.concatenate((turned(derivative), turned(data.force - force)[..., None]), axis=3)
     columns = columns.reshape(pushes, 2 * bins, PARAMETERS + 1)
@@ -371,7 +377,9 @@ def fit(data: PushData, prior: Prior, start: FloatArray, antenna: Antenna, error
         error: of the forward model.
     """
     n = start.shape[0]
-    x = np.clip(start, _LOWER, _UPPER)
+    lower = np.tile(_LOWER, (n, 1))
+    lower[data.contact[data.tip], R_ALONG] = -_UPPER[R_ALONG]
+    x = np.clip(start, lower, _UPPER)
     information = _information(prior)
     dof = np.zeros(n)
     np.add.at(dof, data.contact, 2.0 * (data.count > 0.0).sum(axis=1))
@@ -406,7 +414,7 @@ def fit(data: PushData, prior: Prior, start: FloatArray, antenna: Antenna, error
         damped = matrix + np.eye(5) * (damping[active][:, None] * diagonal)[:, None, :]
         step = np.linalg.solve(damped, gradient[active][..., None])[..., 0]
         step = np.clip(step, -_MAX_STEP, _MAX_STEP)
-        trial[active] = np.clip(x[active] + step, _LOWER, _UPPER)
+        trial[active] = np.clip(x[active] + step, lower[active], _UPPER)
         # What the quadratic model promises of this step; a promise this small is not worth keeping.
         promise = np.sum(gradient[active] * (trial[active] - x[active]), axis=1)
         done = promise < _SMALL_GAIN

@@ -221,25 +221,22 @@ class ModelStrategy:
         template = believed.last_push(rows)
         known = np.linalg.inv(believed.covariance[rows] + 1e-12 * np.eye(PARAMETERS))
         information = np.asarray(known, dtype=np.float64)
-        merits, phis, angles = [], [], []
-        for column in range(offsets.shape[1]):
-            phi = mean[:, NU] + offsets[:, column]
-            angle = self._angle(mean, sigma, phi, believed.corner[rows] | work.aborted[rows])
-            path = template.path / template.path.max(axis=1, keepdims=True) * angle[:, None]
-            data = replace(template, phi=phi, path=path)
-            after = np.einsum(
-                "nii->ni", expected_covariance(data, mean, information, self._antenna, self._error)
-            )
-            merits.append(self._merit(np.sqrt(np.abs(after[:, LN_S])), np.sqrt(np.abs(after[:, NU]))))
-            phis.append(phi)
-            angles.append(angle)
+        columns = offsets.shape[1]
+        phi = (mean[:, NU, None] + offsets).ravel()
+        every = np.repeat(np.arange(rows.size), columns)
+        careful = (believed.corner[rows] | work.aborted[rows])[every]
+        angle = self._angle(mean[every], sigma[every], phi, careful)
+        template = template.take(every, np.arange(every.size))
+        path = template.path / template.path.max(axis=1, keepdims=True) * angle[:, None]
+        imagined = replace(template, phi=phi, path=path)
+        after = expected_covariance(imagined, mean[every], information[every], self._antenna, self._error)
+        spread = np.sqrt(np.abs(np.einsum("nii->ni", after)))
+        merit = self._merit(spread[:, LN_S], spread[:, NU]).reshape(-1, columns)
         # A push of the kind already made teaches little about the model's own error: the other side wins ties.
         side = np.sign(wrap_angle(work.phi[rows] - mean[:, NU]))
-        merit = np.stack(merits, axis=1) * np.where(np.sign(offsets) == side[:, None], 1.1, 1.0)
-        best = np.argmin(merit, axis=1)
-        pick = np.arange(rows.size)
-        work.phi[rows] = np.stack(phis, axis=1)[pick, best]
-        work.angle[rows] = np.stack(angles, axis=1)[pick, best]
+        merit *= np.where(np.sign(offsets) == side[:, None], 1.1, 1.0)
+        best = np.argmin(merit, axis=1) + columns * np.arange(rows.size)
+        work.phi[rows], work.angle[rows] = phi[best], angle[best]
         lost = work.lost[rows]
         work.phi[rows[lost]] = work.touch.expected[rows[lost]] + np.pi
 

@@ -30,8 +30,9 @@ __all__ = ["Plan", "Reach", "default_plan", "levels_plan", "orientation_plan"]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-LARGEST_TILT = float(np.deg2rad(60.0))
-"""A tip shall not meet surfaces whose normal is farther out of Pi than this [rad]."""
+LARGEST_TILT = float(np.deg2rad(48.0))
+"""A tip shall not meet surfaces whose normal is farther out of Pi than this [rad]: beyond, neither moment nor direction
+say much."""
 LARGEST_PHI2 = float(np.deg2rad(50.0))
 """Default plans keep the inner joint within this, well off its singularity at 90 deg [rad]."""
 NEAREST = 0.1
@@ -388,7 +389,7 @@ def default_plan(
     """A plan for an unknown object, from its bounding box alone, caps included.
 
     Beam directions spread evenly over the band |phi2| <= 50 deg, opposite ones among them, none nearer than
-    30 deg to an axis of the box: faces square to the box then tilt at most 60 deg out of Pi. For each
+    42 deg to an axis of the box: faces square to the box then tilt at most 48 deg out of Pi. For each
     direction, planes of the tip run from where an ellipsoid inscribed in the box would tilt that much, nearly
     to its middle; the last contour goes as deep as leaves the base 0.1 L outside the box: the silhouette from
     nearby. Directions that the gantry cannot serve are replaced by others. The step is a sixteenth of the

@@ -46,10 +46,10 @@ TIP_TILT = 0.6
 """Sigma of the tangent of a tipped surface's tilt."""
 BELIEVED = 1.6
 """chi^2 per degree of freedom below which a tip is not compared with a side contact again."""
-TIP_DOUBT = 9.0
-"""Difference (a chi^2) below which side and tip are not told apart."""
-TIP_MARGIN = 4.0
-"""How much worse (a chi^2) the tip may explain the readings and still be preferred: it has fewer freedoms."""
+TIP_MARGIN = 14.0
+"""How much worse (a chi^2) the tip may explain the readings and still be preferred: contacts of the tip crowd at L,
+where those of the side are rare, and have a distance less to please the readings with. Within as much the two are not
+told apart, and s is no surer than they differ."""
 SLID_SHARE = 0.85
 """Share of the friction angle that a force off the normal must reach for friction to have been seen."""
 SEEN = 30.0
@@ -205,7 +205,7 @@ class Posterior:
         # Where a side contact explains a tip's readings nearly as well, s is no surer than the two are apart.
         side = np.where(was_tip, self.mean[rows, LN_S], kept["mean"][:, LN_S])
         apart = np.abs(np.exp(side) - self._antenna.beam.length)
-        tie = np.abs(self._cost[rows] - kept["_cost"]) < TIP_DOUBT
+        tie = np.abs(self._cost[rows] - kept["_cost"]) < TIP_MARGIN
         self._doubt[rows] = np.where(tie, 0.5 * apart, 0.0)
         for name in names:
             getattr(self, name)[back] = kept[name][worse]

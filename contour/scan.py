@@ -24,6 +24,7 @@ from contour import cloud
 from contour.bodies import build_environment
 from contour.contacts import Contacts, flag_names
 from contour.evaluate import errors_of, figures, true_columns
+from contour.frames import wrap_angle
 from contour.instrument import (
     ApproachReading,
     Instrument,
@@ -40,6 +41,7 @@ from contour.mesh_instrument import MeshInstrument
 from contour.plan import Plan
 from contour.scene import Scene
 from contour.sensing import Strategy
+from contour.smoothing import SmoothedNormals, smooth_normals
 from contour.strategy import make_strategy
 from contour.trace import Status, Trace
 from contour.tracing import Tracer
@@ -47,6 +49,9 @@ from contour.truth import truth_of
 from contour.virtual import TrueContact
 
 __all__ = ["Job", "Observed", "Progress", "events", "follow", "prepare", "replay", "run"]
+
+TOUCH_SIGMA = 8e-6
+"""Standard deviation of a touch's place by the machine's last step back [m]."""
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int, float], None]
@@ -179,7 +184,11 @@ def run(job: Job, folder: Path, *, progress: Progress | None = None) -> dict[str
         "rungs": {rung.name.lower(): int(np.count_nonzero(rungs == rung)) for rung in Rung},
         "unconverged": simulated.unconverged,
     }
-    columns = cloud.table(contacts, true_columns(truth, rungs))
+    smooth = _smoothed(contacts, trace, job)
+    turn = np.abs(wrap_angle(smooth.outward - truth.outward)[contacts.good])
+    metrics["smooth_normal_error_median_rad"] = float(np.median(turn)) if turn.size else None
+    metrics["smooth_normal_error_p95_rad"] = float(np.quantile(turn, 0.95)) if turn.size else None
+    columns = cloud.table(contacts, true_columns(truth, rungs)) | _smooth_columns(contacts, smooth, job)
     folder.mkdir(parents=True, exist_ok=True)
     cloud.write_json(folder / "run.json", _run_record(scene))
     lines = [json.dumps(event) + "\n" for event in events(recorder, contacts, trace)]
@@ -190,6 +199,22 @@ def run(job: Job, folder: Path, *, progress: Progress | None = None) -> dict[str
     cloud.write_vtp(folder / "points.vtp", columns, unit="m")
     cloud.write_json(folder / "metrics.json", metrics)
     return metrics
+
+
+def _smoothed(contacts: Contacts, trace: Trace, job: Job) -> SmoothedNormals:
+    """Normals smoothed along the contours."""
+    antenna = job.scene.antenna
+    noise = 0.4 * antenna.sensor.moment_noise * contacts.distance**2 / antenna.stiffness3
+    return smooth_normals(contacts, closed=trace.closed, touch_sigma=np.hypot(TOUCH_SIGMA, noise))
+
+
+def _smooth_columns(contacts: Contacts, smooth: SmoothedNormals, job: Job) -> cloud.Table:
+    """Columns of the smoothed normals: ``smooth_nx`` ... in the world, and their sigma."""
+    turn = wrap_angle(smooth.outward - contacts.outward)[:, None]
+    aside = np.cross(contacts.normal, job.plan.direction[contacts.which])  # a quarter turn on, in Pi
+    normal = np.cos(turn) * contacts.normal + np.sin(turn) * aside
+    columns = {f"smooth_n{axis}": normal[:, i] for i, axis in enumerate("xyz")}
+    return {**columns, "sigma_smooth_normal_rad": smooth.sigma}
 
 
 def replay(job: Job, readings: Path) -> tuple[Contacts | None, Trace]:

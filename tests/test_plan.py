@@ -8,7 +8,7 @@ import pytest
 from contour.antenna import Antenna, Beam
 from contour.errors import LimitViolation, UsageError
 from contour.frames import Mount, joint_angles
-from contour.plan import Plan, Reach, default_plan, levels_plan, orientation_plan
+from contour.plan import LARGEST_TILT, Plan, Reach, default_plan, levels_plan, orientation_plan
 
 BOX = np.array([[-0.1, -0.06, 0.02], [0.1, 0.06, 0.12]])
 """An object of 200 mm, off the origin [m]."""
@@ -84,7 +84,7 @@ def test_levels_cut_the_half_that_faces_the_base():
     for direction in np.unique(plan.direction, axis=0):
         of_it = np.sort(depth[np.all(plan.direction == direction, axis=1)])
         assert of_it.size == 3
-        assert of_it[0] == pytest.approx(-np.sin(np.deg2rad(60.0)))
+        assert of_it[0] == pytest.approx(-np.sin(LARGEST_TILT))
         assert np.all(np.diff(of_it) > 0.1)
         assert np.all(of_it[:-1] < 0.0)
 
