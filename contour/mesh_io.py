@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contour.errors import UsageError
 
-__all__ = ["METRES_PER", "Triangles", "as_triangles", "load_scene"]
+__all__ = ["METRES_PER", "Triangles", "as_triangles", "load_scene", "unit_of"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -74,7 +74,7 @@ def load_scene(
         transform: pose of the file's frame in the world (4, 4), with metres in its last column.
     """
     path = Path(path)
-    scale = METRES_PER[_unit_of(path, unit)]
+    scale = METRES_PER[unit_of(path, unit)]
     scene = _read(path)
     declared = _canonical(scene.units)
     if declared is not None:
@@ -90,7 +90,7 @@ def load_scene(
     return scene
 
 
-def _unit_of(path: Path, unit: str | None) -> str:
+def unit_of(path: Path, unit: str | None) -> str:
     """The unit asked for or written in the file; formats with a fixed or stored unit pass as metres here."""
     if not path.is_file():
         raise UsageError(f"mesh {path} does not exist: check the path")

@@ -1,8 +1,9 @@
 """The pipeline: from a scene to a folder of contacts.
 
-A result folder has ``contacts.csv`` (SI units), ``points.ply`` and ``points.vtp``, ``readings.npz`` (all
-samples, for :func:`replay`), ``log.jsonl`` (events, one JSON object a line), ``run.json`` (resolved scene,
-versions, seed) and ``metrics.json``, which is written last: its presence says done.
+A result folder has ``contacts.csv`` (SI units), ``points.ply`` and ``points.vtp`` (in the unit of the mesh),
+``readings.npz`` (all samples, for :func:`replay`), ``log.jsonl`` (events, one JSON object a line),
+``run.json`` (resolved scene, versions, seed) and ``metrics.json``, which is written last: its presence says
+done.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from contour.ladder import Rung
 from contour.localise import localise
 from contour.mesh_env import MeshEnvironment
 from contour.mesh_instrument import MeshInstrument
+from contour.mesh_io import unit_of
 from contour.plan import Plan
 from contour.scene import Scene
 from contour.sensing import Strategy
@@ -92,6 +94,12 @@ class Job:
     scene: Scene
     environment: MeshEnvironment
     plan: Plan
+
+    @property
+    def unit(self) -> str:
+        """Unit of the point files: that of the first mesh, so that they lie over it in a viewer."""
+        body = self.scene.bodies[0]
+        return unit_of(body.mesh, body.unit)
 
     def outlook(self) -> dict[str, Any]:
         """What a dry run shows."""
@@ -195,8 +203,8 @@ def run(job: Job, folder: Path, *, progress: Progress | None = None) -> dict[str
     (folder / "log.jsonl").write_text("".join(lines), encoding="utf-8")
     np.savez_compressed(folder / "readings.npz", allow_pickle=False, **recorder.log())
     cloud.write_csv(folder / "contacts.csv", columns)
-    cloud.write_ply(folder / "points.ply", columns, unit="m")
-    cloud.write_vtp(folder / "points.vtp", columns, unit="m")
+    cloud.write_ply(folder / "points.ply", columns, unit=job.unit)
+    cloud.write_vtp(folder / "points.vtp", columns, unit=job.unit)
     cloud.write_json(folder / "metrics.json", metrics)
     return metrics
 

@@ -11,6 +11,7 @@ import pytest
 from contour import __version__, cloud, scan, shapes
 from contour.cli import OK, main
 from contour.contacts import Contacts
+from contour.errors import UsageError
 from contour.evaluate import ERROR_FIGURES
 from contour.ladder import Rung
 from contour.scan import Job, prepare, replay, run
@@ -185,11 +186,25 @@ def test_the_log_replayed_gives_the_same_contacts(results, scene_file):
     assert trace.status[0] == Status.CLOSED
 
 
-def test_points_are_in_metres(results):
-    """The header names the unit; positions are those of the table."""
+def test_points_lie_over_the_mesh(results):
+    """They are in its unit, which the header names: millimetres here, metres in the table."""
     points, unit = cloud.read_ply(results / "points.ply")
-    assert unit == "m"
-    np.testing.assert_array_equal(points["x"], cloud.read_csv(results / "contacts.csv")["x_m"])
+    assert unit == "mm"
+    np.testing.assert_allclose(points["x"], 1e3 * cloud.read_csv(results / "contacts.csv")["x_m"], rtol=1e-12)
+    assert "109 109 0" in (results / "points.vtp").read_text(encoding="utf-8")  # "mm" in ASCII, ended by zero
+
+
+def test_smoothed_normals_stand_beside_the_sensed_ones(results):
+    """Unit vectors within Pi, at most a few of their sigmas off the ball's, and figures for them."""
+    columns, metrics = cloud.read_csv(results / "contacts.csv"), cloud.read_json(results / "metrics.json")
+    smooth = np.column_stack([columns[f"smooth_n{axis}"] for axis in "xyz"])
+    np.testing.assert_allclose(np.linalg.norm(smooth, axis=1), 1.0, atol=1e-9)
+    np.testing.assert_allclose(smooth[:, 1], 0.0, atol=1e-9)  # the beam lies along y
+    true = np.column_stack([columns[f"true_{axis}"] for axis in ("nx", "ny", "nz")])
+    true[:, 1] = 0.0
+    off = np.arccos(np.clip(np.sum(smooth * true, axis=1) / np.linalg.norm(true, axis=1), -1.0, 1.0))
+    good = columns["flags"] == 0
+    assert metrics["smooth_normal_error_median_rad"] == pytest.approx(np.median(off[good]), rel=0.05)
 
 
 def test_the_seed_decides(quick, tmp_path):
@@ -280,6 +295,12 @@ def test_every_strategy_has_the_name_it_is_asked_by(name, quick):
     # The variant without the return stroke is the same method.
     assert made.name == name.removesuffix("-out")
     assert set(STRATEGIES) == set(SCENE_STRATEGIES)
+
+
+def test_unknown_strategies_are_refused_by_name(quick):
+    """The message lists those there are."""
+    with pytest.raises(UsageError, match="strategy 'modle' is not known: use one of model, "):
+        make_strategy("modle", 1, quick.scene.antenna, quick.scene.mount)
 
 
 def test_the_commit_is_found_without_git(tmp_path):
