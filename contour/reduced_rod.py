@@ -141,19 +141,10 @@ class Place(NamedTuple):
     speed: FloatArray
 
 
-def place(rows: Rows, turn: Turn, b: FloatArray) -> Place:
-    """Where the rod touches at b."""
-    along, out, cos, sin, curvature, speed = rows.profile.at(b)
-    tilt_t = turn.t * cos
-    tilt_t -= turn.n * sin
-    tilt_n = turn.t * sin
-    tilt_n += turn.n * cos
-    p_t = along * cos
-    p_t -= out * sin
-    p_n = along * sin
-    p_n += out * cos
-    level = turn.cos - turn.t * along
-    level -= turn.n * out
+def _lean(
+    rows: Rows, turn: Turn, level: FloatArray, tilt_n: FloatArray, p_n: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """zeta, the lean of the touching point, and what its equation divides by."""
     # zeta: tan(bend) = tilt_n + cos zeta, times X, a quadratic but for terms that the edge's own lean stands
     # in for.
     level_tilt = level * tilt_n
@@ -185,6 +176,23 @@ def place(rows: Rows, turn: Turn, b: FloatArray) -> Place:
     root += spread
     zeta = constant + constant
     zeta /= root
+    return zeta, spread
+
+
+def place(rows: Rows, turn: Turn, b: FloatArray) -> Place:
+    """Where the rod touches at b."""
+    along, out, cos, sin, curvature, speed = rows.profile.at(b)
+    tilt_t = turn.t * cos
+    tilt_t -= turn.n * sin
+    tilt_n = turn.t * sin
+    tilt_n += turn.n * cos
+    p_t = along * cos
+    p_t -= out * sin
+    p_n = along * sin
+    p_n += out * cos
+    level = turn.cos - turn.t * along
+    level -= turn.n * out
+    zeta, spread = _lean(rows, turn, level, tilt_n, p_n)
     shift = rows.radius * zeta
     drop = shift * zeta
     drop *= 0.5

@@ -18,7 +18,7 @@ from contour.planar_elastica import base_curvature
 from contour.rod import Body, Contact, Memory, Pose
 from contour.slip import Path, pace
 
-__all__ = ["RodPath", "follow_rod"]
+__all__ = ["Hint", "RodPath", "follow_rod"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
