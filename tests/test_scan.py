@@ -278,6 +278,22 @@ def test_progress_grows_to_the_end(quick, tmp_path):
     assert share[-1] == 1.0
 
 
+def test_bodies_stand_where_the_scene_puts_them(scene_file):
+    """Two copies of one mesh: each in its place, turned, with its own friction."""
+    path = scene_file.with_name("two.toml")
+    path.write_text(
+        '[[object]]\nmesh = "ball.ply"\nfriction_angle_deg = 5\n'
+        '[[object]]\nmesh = "ball.ply"\nposition_mm = [300, 0, 10]\nrotation_deg = [0, 0, 45]\n',
+        encoding="utf-8",
+    )
+    environment = prepare(load_scene(path)).environment
+    path.unlink()
+    np.testing.assert_allclose(environment.friction, np.tan(np.deg2rad([5.0, 10.0])))
+    # The geodesic ball is not quite symmetric: its bounds lie up to 0.1 mm inside those of the sphere.
+    np.testing.assert_allclose(environment.bounds, [[-0.06, -0.06, -0.06], [0.36, 0.06, 0.07]], atol=1e-4)
+    assert np.count_nonzero(environment.body == 0) == np.count_nonzero(environment.body == 1)
+
+
 def test_preparing_writes_nothing(scene_file):
     """The outlook of a dry run: contours, step, size of the object, strategy."""
     before = sorted(scene_file.parent.iterdir())
