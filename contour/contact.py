@@ -60,6 +60,7 @@ __all__ = [
     "k_of_h_printed",
     "one_push",
     "push_cycle",
+    "push_cycle_mixed",
     "push_cycle_profile",
     "push_cycle_tip",
     "push_response",
@@ -70,6 +71,7 @@ __all__ = [
 ]
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 STEPS_OUT = 8
 """Steps a push out is followed in, at least; twice as many move delta by 0.01 deg rms."""
@@ -198,21 +200,48 @@ def push_cycle_tip(
         steps: a stroke is followed in no fewer.
     """
     asked, chi, _ = request_tip(eps, thetas, distance, friction, radius_along, radius_across, tilt)
+    return _answer_mixed(asked, chi, np.ones(chi.shape, dtype=np.bool_), steps)
+
+
+def push_cycle_mixed(
+    eps: ArrayLike,
+    thetas: ArrayLike,
+    *,
+    distance: ArrayLike,
+    friction: ArrayLike,
+    radius_along: ArrayLike,
+    radius_across: ArrayLike,
+    tilt: ArrayLike,
+    tip: ArrayLike,
+    steps: int = STEPS_OUT,
+) -> CycleResponse:
+    """:func:`push_cycle_tip` where ``tip`` (...) is true and :func:`push_cycle` elsewhere, followed all together.
+
+    The arguments are theirs; ``tilt`` says nothing of sides, nor ``radius_along`` of tips.
+    """
+    end = np.asarray(tip, dtype=np.bool_)
+    chi = np.where(end, tilt, 0.0)
+    asked = request(eps, thetas, distance, friction, np.where(end, 0.0, radius_along), radius_across)
+    shape = asked.distance.shape
+    chi, end = (np.broadcast_to(values, shape).ravel() for values in (chi, end))
+    return _answer_mixed(asked, chi, end, steps)
+
+
+def _answer_mixed(asked: PushRequest, chi: FloatArray, tip: BoolArray, steps: int) -> CycleResponse:
     path_angles, wanted = refine(asked.angles, steps)
-    path = follow(
-        asked.eps, path_angles, asked.friction / np.cos(chi), np.zeros_like(chi), ArcProfile(asked.bend)
-    )
+    path = follow(asked.eps, path_angles, asked.friction / np.cos(chi), asked.along, ArcProfile(asked.bend))
     r = path.slope
     lifted = 1.0 - 0.1 * r * np.tan(chi) * np.cos(path.delta - np.pi - asked.eps)
     leant = np.tan(np.arctan(asked.friction * path.along) + 0.5 * r - chi)
-    moment = path.lever * lifted / (1.0 + (15.0 / 14.0) * r * r - 0.2 * leant * r)
+    at_tip = path.lever * lifted / (1.0 + (15.0 / 14.0) * r * r - 0.2 * leant * r)
     scale, near = asked.distance[..., None], asked.share.T.reshape(asked.shape)
+    length = np.where(tip, 1.0, path.arc_length)
     return CycleResponse(
         delta=as_asked(asked, wanted, path.delta),
-        moment_angle=as_asked(asked, wanted, moment) * near,
+        moment_angle=as_asked(asked, wanted, np.where(tip, at_tip, path.moment_angle)) * near,
         slipped_off=as_asked(asked, wanted, path.slipped_off),
         slide=as_asked(asked, wanted, path.slide) * scale,
-        arc_length=np.broadcast_to(scale, asked.shape).copy(),
+        arc_length=as_asked(asked, wanted, length) * scale,
     )
 
 

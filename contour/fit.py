@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contour.antenna import Antenna
-from contour.contact import push_cycle, push_cycle_tip
+from contour.contact import push_cycle_mixed
 from contour.sensing import BACK_RANGE, BINS, OUT_RANGE, Bins, Touch
 
 __all__ = [
@@ -140,37 +140,18 @@ def _forward(
     """Moment angle and direction psi along ``path`` for states ``x``; both (p, k). A negative R counts as none."""
     bend = x[:, BEND]
     across = np.where(np.abs(bend) > 1e-6, 1.0 / np.where(np.abs(bend) > 1e-6, bend, 1.0), np.inf)
-    moment, delta = np.empty_like(path), np.empty_like(path)
-    for tipped in (False, True):
-        rows = np.flatnonzero(tip == tipped)
-        if rows.size == 0:
-            continue
-        eps, friction = phi[rows] - x[rows, NU], np.exp(x[rows, LN_TAN_ALPHA])
-        if tipped:
-            tilt = np.arctan(x[rows, R_ALONG])
-            cycle = push_cycle_tip(
-                eps,
-                path[rows],
-                distance=1.0,
-                friction=friction,
-                radius_along=np.inf,
-                radius_across=across[rows],
-                tilt=tilt,
-                steps=2 * BINS,
-            )
-        else:
-            along = np.maximum(x[rows, R_ALONG], 0.0)
-            cycle = push_cycle(
-                eps,
-                path[rows],
-                distance=1.0,
-                friction=friction,
-                radius_along=along,
-                radius_across=across[rows],
-                steps=2 * BINS,
-            )
-        moment[rows], delta[rows] = cycle.moment_angle, cycle.delta
-    return moment, phi[:, None] - delta
+    cycle = push_cycle_mixed(
+        phi - x[:, NU],
+        path,
+        distance=1.0,
+        friction=np.exp(x[:, LN_TAN_ALPHA]),
+        radius_along=np.maximum(x[:, R_ALONG], 0.0),
+        radius_across=across,
+        tilt=np.arctan(x[:, R_ALONG]),
+        tip=tip,
+        steps=2 * BINS,
+    )
+    return cycle.moment_angle, phi[:, None] - cycle.delta
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import IntEnum
-from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,10 +111,12 @@ class Ladder:
         tip = contact.kind == Kind.TIP
         rung = np.where(tip & (rung < Rung.ELASTICA), np.int8(Rung.REDUCED), rung)
         moment, delta = np.zeros_like(path), np.full_like(path, np.pi)
-        # Tips have mechanics of their own: no call mixes them with contacts of the side. The exact rung comes
-        # first: pushes on which it does not converge are left to the reduced rod, and counted.
-        for level, end in product(reversed(Rung), (False, True)):
-            some = np.flatnonzero((rung == level) & (tip == end))
+        # The exact rung comes first: pushes on which it does not converge are left to the reduced rod, and counted.
+        # Its tips have mechanics of their own: no call of it mixes them with contacts of the side.
+        exact = Rung.ELASTICA
+        groups = [(exact, tip), (exact, ~tip), *((level, True) for level in reversed(Rung) if level != exact)]
+        for level, among in groups:
+            some = np.flatnonzero((rung == level) & among)
             if some.size:
                 moment[some], delta[some], settled = self._answer(
                     level, contact.take(some), eps[some], path[some], rows[some]
@@ -132,23 +134,24 @@ class Ladder:
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
         """Moment angle and delta (n, k) of one rung, and whether it found them (n,)."""
         settled: NDArray[np.bool_] = np.ones(eps.size, dtype=np.bool_)
-        model = elastica if level == Rung.ELASTICA else reduced
-        common = {
+        common: dict[str, Any] = {
             "distance": contact.distance,
             "friction": contact.friction,
             "radius_along": contact.radius_along,
         }
-        if contact.kind[0] == Kind.TIP:
-            cycle = model.push_cycle_tip(
-                eps, path, **common, radius_across=contact.radius_across, tilt=contact.tilt
-            )
-        elif level == Rung.EDGE:
+        tip = contact.kind == Kind.TIP
+        across, tilt = contact.radius_across, contact.tilt
+        if level == Rung.EDGE:
             return *self._edge(contact, eps, path), settled
-        elif level == Rung.PROFILE:
+        if level == Rung.PROFILE:
             reach = 1.2 * slide_estimate(contact, eps, path.max(axis=1)) + PROFILE_MARGIN
             cycle = reduced.push_cycle_profile(eps, path, **common, profile=self._silhouette(rows, reach))
+        elif level == Rung.REDUCED:
+            cycle = reduced.push_cycle_mixed(eps, path, **common, radius_across=across, tilt=tilt, tip=tip)
+        elif tip[0]:
+            cycle = elastica.push_cycle_tip(eps, path, **common, radius_across=across, tilt=tilt)
         else:
-            cycle = model.push_cycle(eps, path, **common, radius_across=contact.radius_across)
+            cycle = elastica.push_cycle(eps, path, **common, radius_across=across)
         if isinstance(cycle, elastica.RodCycleResponse):
             settled = np.all(cycle.converged | cycle.slipped_off, axis=1)
         return np.where(cycle.slipped_off, 0.0, cycle.moment_angle), cycle.delta, settled
