@@ -89,9 +89,9 @@ class ModelError:
     """More of it per squared tangent of the angle between push and normal beyond the friction cone."""
     tip_direction: float = float(np.deg2rad(0.8))
     """Of the force's direction at the tip, one value a stroke and one a bin, per squared tangent of the tilt [rad]."""
-    tip_gain: float = 2e-3
+    tip_gain: float = 5e-4
     """Of the moment of a touch with the tip, one value a push, relative."""
-    tip_gain_tilt: float = 6e-3
+    tip_gain_tilt: float = 2e-3
     """More of it per squared tangent of the tilt."""
     moment_bin: float = 8e-5
     """Of the moment, each bin on its own, relative to the peak."""

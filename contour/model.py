@@ -193,7 +193,7 @@ class ModelStrategy:
         """Stop, or plan the push that is expected to help most."""
         work, s = self._here(), self._settings
         believed = work.believed
-        sigma = believed.sigmas(rows, work.phi[rows])
+        sigma = believed.sigmas(rows, work.phi[rows], doubt=False)
         slope = friction_slope(believed.mean[rows, LN_TAN_ALPHA])
         learning = (
             work.touch.fresh[rows]

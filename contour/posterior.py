@@ -44,9 +44,9 @@ TIP_SIGMA = 0.15e-3
 """What the tip's distance may differ from L by: its end is round [m]."""
 TIP_TILT = 0.6
 """Sigma of the tangent of a tipped surface's tilt."""
-BELIEVED = 1.6
+BELIEVED = 1.25
 """chi^2 per degree of freedom below which a tip is not compared with a side contact again."""
-TIP_MARGIN = 14.0
+TIP_MARGIN = 8.0
 """How much worse (a chi^2) the tip may explain the readings and still be preferred: contacts of the tip crowd at L,
 where those of the side are rare, and have a distance less to please the readings with. Within as much the two are not
 told apart, and s is no surer than they differ."""
@@ -118,10 +118,11 @@ class Posterior:
         newest[data.contact] = np.arange(data.contact.size)
         return replace(data.take(newest[rows], np.arange(rows.size)), tip=self.tip[rows])
 
-    def sigmas(self, rows: IntArray, phi: FloatArray) -> FloatArray:
+    def sigmas(self, rows: IntArray, phi: FloatArray, *, doubt: bool = True) -> FloatArray:
         """(n, 5) standard deviations of the contacts ``rows``, last pushed towards ``phi`` (n,) rad.
 
-        The model's error is in them, and the misfit where there is one.
+        The model's error is in them, the misfit where there is one, and, unless ``doubt`` is off, how far a side
+        contact and one of the tip are apart where the two could not be told: no further push would tell them.
         """
         variance = np.einsum("nii->ni", self.covariance[rows]).copy()
         alpha = np.arctan(np.exp(self.mean[rows, LN_TAN_ALPHA]))
@@ -129,7 +130,8 @@ class Posterior:
         outside = self._error.gain_outside * np.tan(np.minimum(off, 1.2)) ** 2
         variance[:, LN_S] += self._error.gain**2 + outside**2
         variance = np.maximum(variance, 0.0) * np.maximum(self.misfit[rows], 1.0)[:, None]
-        variance[:, LN_S] += (self._doubt[rows] / np.exp(self.mean[rows, LN_S])) ** 2
+        if doubt:
+            variance[:, LN_S] += (self._doubt[rows] / np.exp(self.mean[rows, LN_S])) ** 2
         return np.asarray(np.sqrt(variance))
 
     def _starts(self, rows: IntArray, bins: Bins) -> list[FloatArray]:
