@@ -1,10 +1,9 @@
 """Normals and curvature of the smooth surface that a mesh samples.
 
-Vertex normals weigh faces as Max1999 does, which is exact on spheres. Where a wide flat meets the narrow
-facets of a fillet the narrow ones would tilt the flat; there faces count by their area instead. The shape
-operator is fitted on each face to the change of these normals and averaged to the vertices
-(Rusinkiewicz2004). Vertices on creases are split, one copy for each smooth patch, so that a flat side is flat
-up to its edge. Curvature is positive where the surface bends away from the side its normal points to.
+The shape operator is fitted on each face to the change of the vertex normals (:mod:`contour.vertex_normals`)
+and averaged to the vertices (Rusinkiewicz2004). Vertices on creases are split, one copy for each smooth patch,
+so that a flat side is flat up to its edge. Curvature is positive where the surface bends away from the side
+its normal points to.
 """
 
 from __future__ import annotations
@@ -13,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contour.topology import Topology
+from contour.vertex_normals import vertex_normals
 
 __all__ = ["SmoothSurface"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-EVEN = 6.0
-"""Up to this ratio the areas of the faces about a vertex are alike; beyond its square they are not at all."""
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # the six entries of a symmetric tensor
 
 
@@ -35,7 +33,7 @@ class SmoothSurface:
     def __init__(self, topology: Topology, *, smoothing: int = 0) -> None:
         self._corners = topology.patch_corners
         points = topology.vertices[topology.corners]
-        self.normals: FloatArray = _vertex_normals(topology, points)
+        self.normals: FloatArray = vertex_normals(topology)
         """Unit normals of the split vertices (p, 3)."""
         weights = _corner_areas(points, topology.areas)
         tensors = _corner_tensors(points, topology.normals, self.normals[self._corners])
@@ -61,42 +59,6 @@ class SmoothSurface:
         """S (k, 3, 3) [1/m] there; it maps tangent steps to changes of the normal."""
         mixed = np.einsum("kc,kcs->ks", barycentric, self.tensors[self._corners[face]])
         return np.asarray(mixed[:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(-1, 3, 3))
-
-
-def _vertex_normals(topology: Topology, points: FloatArray) -> FloatArray:
-    """Max1999, blended into weights by area where a large face meets small ones."""
-    corners, count = topology.patch_corners, topology.patch_count
-    weights = np.zeros(corners.shape)
-    double = 2.0 * topology.areas
-    for i in range(3):
-        one, two = points[:, (i + 1) % 3] - points[:, i], points[:, (i + 2) % 3] - points[:, i]
-        squares = np.einsum("ij,ij->i", one, one) * np.einsum("ij,ij->i", two, two)
-        # sin(angle) over the product of the two sides.
-        weights[:, i] = double / np.where(squares > 0.0, squares, 1.0)
-    curved = _weighted(topology.normals, weights, corners, count)
-    flat = _weighted(topology.normals, np.repeat(topology.areas[:, None], 3, axis=1), corners, count)
-    least, most = np.full(count, np.inf), np.zeros(count)
-    np.minimum.at(least, corners, topology.areas[:, None])
-    np.maximum.at(most, corners, topology.areas[:, None])
-    uneven = np.log(most / least) / np.log(EVEN)
-    share = np.clip(uneven - 1.0, 0.0, 1.0)[:, None]
-    mixed = (1.0 - share) * curved + share * flat
-    return np.asarray(mixed / np.linalg.norm(mixed, axis=1)[:, None])
-
-
-def _weighted(normals: FloatArray, weights: FloatArray, corners: IntArray, count: int) -> FloatArray:
-    """Unit mean of the faces' normals at each split vertex (p, 3)."""
-    at = corners.reshape(-1)
-    total = np.stack(
-        [np.bincount(at, (weights * normals[:, axis, None]).reshape(-1), count) for axis in range(3)], axis=1
-    )
-    length = np.linalg.norm(total, axis=1)
-    # A vertex whose faces cancel each other (a sheet folded flat) keeps the normal of one of them.
-    lost = length <= 0.0
-    one_face = np.zeros(count, dtype=np.int64)
-    one_face[corners] = np.arange(len(corners))[:, None]
-    total[lost] = normals[one_face[lost]]
-    return total / np.where(lost, 1.0, length)[:, None]
 
 
 def _corner_areas(points: FloatArray, areas: FloatArray) -> FloatArray:
