@@ -28,11 +28,11 @@ def test_flats_stay_flat_up_to_fillets(name, mesh_file):
     assert lean.max() < 0.1
 
 
-@pytest.mark.parametrize("name", ["torus", "blob", "sphere"])
-def test_smoothly_bent_surfaces_are_left_to_their_weights(name, mesh_file):
+@pytest.mark.parametrize(("name", "most"), [("torus", 0.005), ("blob", 0.02), ("sphere", 0.005)])
+def test_smoothly_bent_surfaces_are_left_to_their_weights(name, most, mesh_file):
     """Without jumps nothing is turned: the error stays that of Max1999, of second order."""
     lean = lean_at_corners(MeshEnvironment.load(mesh_file(name)), shapes.load(name))
-    assert lean.max() < 0.02
+    assert lean.max() < most
 
 
 def test_uneven_triangles_on_a_sphere_hardly_matter(rng):
