@@ -28,7 +28,7 @@ def test_flats_stay_flat_up_to_fillets(name, mesh_file):
     assert lean.max() < 0.1
 
 
-@pytest.mark.parametrize(("name", "most"), [("torus", 0.005), ("blob", 0.02), ("sphere", 0.005)])
+@pytest.mark.parametrize("name, most", [("torus", 0.005), ("blob", 0.02), ("sphere", 0.005)])
 def test_smoothly_bent_surfaces_are_left_to_their_weights(name, most, mesh_file):
     """Without jumps nothing is turned: the error stays that of Max1999, of second order."""
     lean = lean_at_corners(MeshEnvironment.load(mesh_file(name)), shapes.load(name))
