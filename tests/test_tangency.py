@@ -112,3 +112,21 @@ def test_flat_faces_leave_contacts_where_they_are(rng):
     np.testing.assert_allclose(contact.travel, 0.03, atol=1e-9)
     np.testing.assert_allclose(contact.lift, 0.0, atol=1e-12)
     np.testing.assert_allclose(contact.normal, np.tile([1.0, 0, 0], (50, 1)), atol=1e-12)
+
+
+def test_a_rod_and_its_cone_keep_their_contacts(rng):
+    """Over the crease between them neither surface is followed into the other's part."""
+    narrow = 0.006 - 0.004 * np.tan(np.deg2rad(40.0))
+    outline = [[0, -0.05], [0.006, -0.05], [0.006, 0.0], [narrow, 0.004], [0, 0.004]]
+    environment = MeshEnvironment(trimesh.creation.revolve(np.array(outline), sections=24))
+    base, direction, way = skew_beams(2000, rng, least=0.02)
+    base[:, 2] += rng.uniform(-0.012, 0.008, 2000)
+    contact = environment.first_contact(base, direction, LENGTH, translation=0.1 * way)
+    slope = environment.topology.normals[contact.face, 2]
+    side = contact.kind == TouchKind.SIDE
+    rod, cone = side & (np.abs(slope) < 1e-6), side & (slope > 0.1) & (slope < 0.9)
+    assert rod.sum() > 500
+    assert cone.sum() > 50
+    assert contact.point[rod, 2].max() < 1e-9
+    # Chords of the rim lie 51 um inside it, where the round cone stands by that much lower.
+    assert contact.point[cone, 2].min() > -0.2e-3
