@@ -53,7 +53,7 @@ _STEP = np.array([0.0, 2e-4, 2e-3, 2e-3, 1e-2])
 _LOWER = np.array([np.log(2e-3), -np.inf, np.log(np.tan(np.deg2rad(0.3))), -0.3, -400.0])
 _UPPER = np.array([np.log(1.0), np.inf, np.log(np.tan(np.deg2rad(45.0))), 4.0, 400.0])
 _MAX_STEP = np.array([0.5, 0.15, 0.7, 0.5, 5.0])
-_ITERATIONS = 7
+_ITERATIONS = 12
 _SMALL_GAIN = 0.03
 """Fall of the cost (a chi^2) that is not worth another iteration."""
 _LOST = 1e3
@@ -367,7 +367,7 @@ def fit(data: PushData, prior: Prior, start: FloatArray, antenna: Antenna, error
     cost, chi2 = np.full(n, np.inf), np.full(n, np.inf)
     normal = np.zeros((n, PARAMETERS, PARAMETERS))
     gradient = np.zeros((n, PARAMETERS))
-    damping = np.full(n, 1e-4)
+    damping = np.full(n, 1e-2)
     converged = np.zeros(n, dtype=bool)
     trial = x.copy()
     active = np.arange(n)
@@ -389,7 +389,7 @@ def fit(data: PushData, prior: Prior, start: FloatArray, antenna: Antenna, error
         normal[good] = total[better, :5, :5]
         gradient[good] = total[better, :5, 5] + information[good] * away[better]
         damping[good] *= 0.2
-        damping[active[~better]] *= 8.0
+        damping[active[~better]] *= 30.0
         matrix = normal[active] + np.eye(5) * information[active][:, None, :]
         diagonal = np.maximum(np.einsum("nii->ni", matrix), 1e-9)
         damped = matrix + np.eye(5) * (damping[active][:, None] * diagonal)[:, None, :]
