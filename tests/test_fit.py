@@ -57,20 +57,21 @@ def mixed(n: int, rng: np.random.Generator):
     )
 
 
-def test_state_is_recovered_from_readings_of_the_exact_rod(rng):
-    """With a tenth of the noise s is right to 0.15 % and the normal to 0.1 deg, medians of 40, and sigma says so."""
+def test_state_is_recovered_from_a_start_off_the_truth(rng):
+    """From a start a percent and a degree off, 40 pushes just outside the cone end within three of their sigmas."""
     truth = mixed(40, rng)
-    # Just outside the cone both edges of it are seen, so that every unknown is told.
+    # There both edges of the cone are seen, so that every unknown is told.
     eps = np.arctan(truth.friction) + np.deg2rad(4.0)
-    bench = Bench(truth, exact=True, sensor=Sensor(moment_noise=1e-6, moment_drift=0.0))
+    bench = Bench(truth, exact=True, sensor=Sensor())
     data = pushed(bench, eps, np.deg2rad(2.0))
     state = true_state(truth)
     start = state + np.array([0.01, 0.02, 0.05, 0.03, 0.2])
     found = fit(data, Prior(mean=start, sigma=np.tile(LOOSE, (40, 1))), start, bench.antenna, ModelError())
-    off = np.abs(found.mean[:, LN_S] - state[:, LN_S])
-    assert np.median(off) < 1.5e-3
-    assert np.mean(off < 3.0 * found.sigma(LN_S)) > 0.9
-    assert np.median(np.abs(wrap_angle(found.mean[:, NU] - state[:, NU]))) < np.deg2rad(0.1)
+    assert np.all(found.converged)
+    for parameter in (LN_S, NU):
+        off = np.abs(wrap_angle(found.mean[:, parameter] - state[:, parameter]))
+        assert np.mean(off < 3.0 * found.sigma(parameter)) >= 0.95
+    assert np.median(np.abs(wrap_angle(found.mean[:, NU] - state[:, NU]))) < np.deg2rad(0.3)
 
 
 def test_intervals_cover_the_truth_on_readings_of_the_exact_rod(rng):
