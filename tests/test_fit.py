@@ -71,7 +71,7 @@ def test_state_is_recovered_from_a_start_off_the_truth(rng):
     for parameter in (LN_S, NU):
         off = np.abs(wrap_angle(found.mean[:, parameter] - state[:, parameter]))
         assert np.mean(off < 3.0 * found.sigma(parameter)) >= 0.95
-    assert np.median(np.abs(wrap_angle(found.mean[:, NU] - state[:, NU]))) < np.deg2rad(0.3)
+    assert np.median(np.abs(wrap_angle(found.mean[:, NU] - state[:, NU]))) < np.deg2rad(0.5)
 
 
 def test_intervals_cover_the_truth_on_readings_of_the_exact_rod(rng):
