@@ -100,7 +100,7 @@ class Memory:
         v = which[side]
         self.along[v] = np.maximum(contacts.radius_along[side], 0.0)
         spread = sigma[side, R_ALONG] * contacts.distance[side]
-        self.along_sigma[v] = np.minimum(np.hypot(spread, 0.3 * self.along[v] + 0.004), RADIUS_ALONG[1])
+        self.along_sigma[v] = np.minimum(np.hypot(spread, 0.5 * self.along[v] + 0.008), RADIUS_ALONG[1])
         self.touches[w, 1] = self.touches[w, 0]
         self.touches[w, 0] = contacts.touch[good]
         self.known[w] = np.minimum(self.known[w] + 1, 2)
@@ -132,7 +132,7 @@ class Memory:
         share = np.where(two, length / (length + length_before), 0.5)
         turn = bend * share
         sigma_two = np.hypot(
-            2.6 * position / np.minimum(length, length_before), 0.35 * np.abs(turn) + np.deg2rad(0.15)
+            2.6 * position / np.minimum(length, length_before), 0.3 * np.abs(turn) + np.deg2rad(0.15)
         )
         sigma_one = np.hypot(
             np.hypot(2.9 * position / length, self.outward_sigma[w]), 0.35 * np.abs(turn) + np.deg2rad(0.3)
@@ -154,7 +154,7 @@ class Memory:
                 np.where(touch.fresh, touch.expected_sigma, np.deg2rad(30.0)),
             ),
             curvature=np.where(trusted, curvature, 0.0),
-            curvature_sigma=np.where(trusted, 0.7 * np.abs(curvature) + 8.0, CURVATURE_SIGMA),
+            curvature_sigma=np.where(trusted, 0.7 * np.abs(curvature) + 16.0, CURVATURE_SIGMA),
             corner=corner,
         )
 
