@@ -94,7 +94,7 @@ class _Work:
 class ModelStrategy:
     """Localises n contacts at once; remembers each contour's friction, curvature and touches."""
 
-    name = "model"
+    name: str
 
     def __init__(
         self,
@@ -107,6 +107,7 @@ class ModelStrategy:
         self._antenna = antenna
         self._mount = mount
         self._settings = settings or ModelSettings()
+        self.name = "model" if self._settings.both_strokes else "model-out"
         self._error = error or ModelError()
         self._memory = Memory(antennas)
         self._work: _Work | None = None
