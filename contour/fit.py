@@ -75,8 +75,9 @@ DEPTH_SIGMA = 6e-6
 class ModelError:
     """Standard deviations of the forward model's own error, and of the instrument's slow ones.
 
-    Direction and moment of the reduced rod against the exact one, on both strokes, over the range that the strategy
-    uses; measured by ``tests/test_fit.py`` on cycles of the exact rod.
+    Direction and moment of the reduced rod against the exact one, binned, on both strokes. Chosen so that intervals
+    cover as they claim on readings of the exact rod at the default noise (``tests/test_fit.py``); at a tenth of that
+    noise they are too small for pushes outside the cone.
     """
 
     direction_bias: float = float(np.deg2rad(0.015))

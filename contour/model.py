@@ -56,8 +56,6 @@ class ModelSettings:
     """Angle of a push at ``angle_distance`` and beyond [rad]."""
     angle_distance: float = 0.06
     """Distance below which the angle shrinks in proportion, as section IV of Kaneko1998 does [m]."""
-    largest_angle: float = float(np.deg2rad(4.0))
-    """Bound of the angle [rad]."""
     corner_angle: float = float(np.deg2rad(1.5))
     """Bound of the angle where the contour turns sharply [rad]."""
     moment_share: float = 0.85

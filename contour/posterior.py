@@ -87,11 +87,6 @@ class Posterior:
         self.misfit: FloatArray = np.zeros(n)
         """(n,) chi^2 per degree of freedom."""
 
-    @property
-    def prior_sigma(self) -> FloatArray:
-        """(n, 5)"""
-        return self._prior_sigma
-
     def tell(self, rows: IntArray, bins: Bins, touch: Touch, felt: BoolArray) -> None:
         """A push of each of the contacts ``rows``; those that felt nothing say nothing."""
         bins = replace(bins, count=bins.count * felt[:, None])

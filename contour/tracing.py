@@ -134,14 +134,6 @@ class Tracer:
         """(k,) m to release by before the next move: never past where the motion that touched began."""
         return np.asarray(np.minimum(self._height[which], self._run[which]))
 
-    def withdrawal(self, which: IntArray) -> Move:
-        """A move that draws the beams ``which`` out of the object's box along themselves, for after they are
-        done.
-        """
-        depth = self._plan.level[which] - self._withdraw[which]
-        pose = self._planes.poses(which, self._position[which], depth)
-        return Move(which, pose, -self._plan.direction[which], np.full(which.size, TRANSPORT_TRAVEL))
-
     def expected(self, which: IntArray) -> Expectation:
         """Prior for localising the contacts just touched: a parabola through them and the last two, if those
         count.
