@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from contour.errors import UsageError
 from contour.laws import (
     SLIP_RATES,
     SLIP_TOTALS,
@@ -42,6 +43,7 @@ from contour.response import (
 )
 from contour.silhouette import ArcProfile, Profile, sampled
 from contour.slip import follow
+from contour.tip import follow_tip
 
 __all__ = [
     "SLIP_RATES",
@@ -183,24 +185,22 @@ def push_cycle_tip(
     tilt: ArrayLike,
     steps: int = STEPS_OUT,
 ) -> CycleResponse:
-    """What pushes with the tip are answered with, to first order in theta tan(tilt).
+    """What pushes with the tip are answered with: the rod is bent all along, and its end slides on the surface.
 
-    The tip is drawn in by r^2/10 and so climbs or sinks on its tilted surface, whose force is tilted too;
-    across the beam it slides as a side contact with the friction mu/cos(tilt).
+    Forces and slips are taken on the leaning surface itself (contour.tip).
 
     Args:
         eps: pushing direction off the inner normal's part in the sensing plane [rad], (...).
         thetas: angles of the base from touch, in their order [rad], (..., k).
         distance: L [m], centre of rotation to tip, (...).
         friction: mu, (...).
-        radius_along: radius of the surface in the plane of the beam and the normal [m]; it matters in the
-            next order.
+        radius_along: radius of the surface in the plane of the beam and the normal [m], inf flat, (...).
         radius_across: radius of the surface across it [m], inf flat, below 0 concave, (...).
         tilt: angle chi of the outer normal out of the sensing plane, positive towards the base [rad], (...).
         steps: a stroke is followed in no fewer.
     """
-    asked, chi, _ = request_tip(eps, thetas, distance, friction, radius_along, radius_across, tilt)
-    return _answer_mixed(asked, chi, np.ones(chi.shape, dtype=np.bool_), steps)
+    asked, chi, ridge = request_tip(eps, thetas, distance, friction, radius_along, radius_across, tilt)
+    return _answer_mixed(asked, (chi, ridge), np.ones(chi.shape, dtype=np.bool_), steps)
 
 
 def push_cycle_mixed(
@@ -213,34 +213,59 @@ def push_cycle_mixed(
     radius_across: ArrayLike,
     tilt: ArrayLike,
     tip: ArrayLike,
+    ridge: ArrayLike = np.inf,
     steps: int = STEPS_OUT,
 ) -> CycleResponse:
-    """:func:`push_cycle_tip` where ``tip`` (...) is true and :func:`push_cycle` elsewhere, followed all together.
+    """:func:`push_cycle_tip` where ``tip`` (...) is true and :func:`push_cycle` elsewhere, in one call.
 
-    The arguments are theirs; ``tilt`` says nothing of sides, nor ``radius_along`` of tips.
+    The arguments are theirs; ``tilt`` and ``ridge``, a tip's ``radius_along`` [m], say nothing of sides, nor
+    ``radius_along`` of tips.
     """
     end = np.asarray(tip, dtype=np.bool_)
-    chi = np.where(end, tilt, 0.0)
-    asked = request(eps, thetas, distance, friction, np.where(end, 0.0, radius_along), radius_across)
+    asked, chi, bend = request_tip(
+        eps,
+        thetas,
+        distance,
+        friction,
+        np.where(end, ridge, np.inf),
+        radius_across,
+        np.where(end, tilt, 0.0),
+    )
+    radius = np.asarray(radius_along, dtype=np.float64)
+    if not np.all(end | ((radius >= 0.0) & np.isfinite(radius))):
+        raise UsageError("radius_along must be finite and zero (an edge) or more, in metres")
     shape = asked.distance.shape
-    chi, end = (np.broadcast_to(values, shape).ravel() for values in (chi, end))
-    return _answer_mixed(asked, chi, end, steps)
+    along = np.broadcast_to(np.where(end, 0.0, radius) / asked.distance, shape).ravel()
+    flags = np.broadcast_to(end, shape).ravel()
+    return _answer_mixed(asked._replace(along=along), (chi, bend), flags, steps)
 
 
-def _answer_mixed(asked: PushRequest, chi: FloatArray, tip: BoolArray, steps: int) -> CycleResponse:
+def _answer_mixed(
+    asked: PushRequest, surface: tuple[FloatArray, FloatArray], tip: BoolArray, steps: int
+) -> CycleResponse:
+    """Sides and tips, each kind followed together; ``surface`` holds tilt and curvature along of the tips'."""
+    side, end = np.flatnonzero(~tip), np.flatnonzero(tip)
+    if not end.size:
+        return _answer(asked, ArcProfile(asked.bend), steps)
     path_angles, wanted = refine(asked.angles, steps)
-    path = follow(asked.eps, path_angles, asked.friction / np.cos(chi), asked.along, ArcProfile(asked.bend))
-    r = path.slope
-    lifted = 1.0 - 0.1 * r * np.tan(chi) * np.cos(path.delta - np.pi - asked.eps)
-    leant = np.tan(np.arctan(asked.friction * path.along) + 0.5 * r - chi)
-    at_tip = path.lever * lifted / (1.0 + (15.0 / 14.0) * r * r - 0.2 * leant * r)
+    delta, moment, slide = (np.zeros(path_angles.shape) for _ in range(3))
+    length, off = np.ones(path_angles.shape), np.zeros(path_angles.shape, dtype=np.bool_)
+    tilt, ridge = surface
+    rubbed, profile = asked.friction[end], ArcProfile(asked.bend[end])
+    path = follow_tip(asked.eps[end], path_angles[:, end], rubbed, tilt[end], ridge[end], profile)
+    delta[:, end], moment[:, end], slide[:, end] = path.delta, path.moment_angle, path.slide
+    off[:, end] = path.slipped_off
+    if side.size:
+        rubbed, profile = asked.friction[side], ArcProfile(asked.bend[side])
+        rest = follow(asked.eps[side], path_angles[:, side], rubbed, asked.along[side], profile)
+        delta[:, side], moment[:, side], slide[:, side] = rest.delta, rest.moment_angle, rest.slide
+        length[:, side], off[:, side] = rest.arc_length, rest.slipped_off
     scale, near = asked.distance[..., None], asked.share.T.reshape(asked.shape)
-    length = np.where(tip, 1.0, path.arc_length)
     return CycleResponse(
-        delta=as_asked(asked, wanted, path.delta),
-        moment_angle=as_asked(asked, wanted, np.where(tip, at_tip, path.moment_angle)) * near,
-        slipped_off=as_asked(asked, wanted, path.slipped_off),
-        slide=as_asked(asked, wanted, path.slide) * scale,
+        delta=as_asked(asked, wanted, delta),
+        moment_angle=as_asked(asked, wanted, moment) * near,
+        slipped_off=as_asked(asked, wanted, off),
+        slide=as_asked(asked, wanted, slide) * scale,
         arc_length=as_asked(asked, wanted, length) * scale,
     )
 

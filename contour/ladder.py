@@ -147,7 +147,8 @@ class Ladder:
             reach = 1.2 * slide_estimate(contact, eps, path.max(axis=1)) + PROFILE_MARGIN
             cycle = reduced.push_cycle_profile(eps, path, **common, profile=self._silhouette(rows, reach))
         elif level == Rung.REDUCED:
-            cycle = reduced.push_cycle_mixed(eps, path, **common, radius_across=across, tilt=tilt, tip=tip)
+            surface = {"radius_across": across, "tilt": tilt, "tip": tip, "ridge": contact.radius_along}
+            cycle = reduced.push_cycle_mixed(eps, path, **common, **surface)
         elif tip[0]:
             cycle = elastica.push_cycle_tip(eps, path, **common, radius_across=across, tilt=tilt)
         else:

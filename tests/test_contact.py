@@ -435,9 +435,11 @@ def test_tip_on_an_upright_surface_answers_nearly_as_a_side():
     args = {"distance": 0.2, "friction": 0.2, "radius_across": np.inf}
     tip = contact.push_cycle_tip(0.3, 0.05 * OUT_AND_BACK, radius_along=np.inf, tilt=0.0, **args)
     side = contact.push_cycle(0.3, 0.05 * OUT_AND_BACK, radius_along=0.0, **args)
-    assert np.allclose(tip.delta, side.delta, atol=1e-9)
-    # The tip's lean of r/2 turns its force: r^2/10 of the moment.
-    assert np.allclose(tip.moment_angle, side.moment_angle, rtol=0.05**2 / 5)
+    # Both slide as their rods shorten and lengthen; theta of the creep is all that differs.
+    assert np.allclose(tip.delta, side.delta, atol=0.15 * 0.05**2)
+    # What is paid out softens the side: r^2/10 + a^2/2, and a tenth for the lean of r/2 that turns the tip's force.
+    assert np.allclose(tip.moment_angle, side.moment_angle, rtol=0.05**2 / 4)
+    assert np.abs(tip.moment_angle / side.moment_angle - 1.0).max() > 0.05**2 / 10
     assert np.allclose(tip.arc_length, 0.2)
 
 

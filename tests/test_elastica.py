@@ -295,8 +295,8 @@ def test_tip_without_friction_is_the_rod_under_a_normal_force(tilt):
     assert float(cycle.arc_length[0]) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_reduced_tip_is_right_to_first_order(rng):
-    """theta tan(tilt) small: half a percent at tilts to 40 deg and pushes to 5 deg."""
+def test_reduced_tip_is_near_on_both_strokes(rng):
+    """Half the steps of the exact rod: 0.1 % and 0.02 deg rms at tilts to 40 deg and pushes to 3.5 deg."""
     n = 60
     args = {
         "distance": 0.2,
@@ -309,8 +309,9 @@ def test_reduced_tip_is_right_to_first_order(rng):
     exact = elastica.push_cycle_tip(eps, 0.06 * OUT_AND_BACK, **args)
     near = contact.push_cycle_tip(eps, 0.06 * OUT_AND_BACK, **args)
     assert exact.converged.all()
-    assert np.allclose(near.moment_angle[:, :8], exact.moment_angle[:, :8], rtol=0.005)
-    assert np.sqrt(np.mean((near.delta - exact.delta) ** 2)) < np.radians(1.0)
+    largest = exact.moment_angle.max(axis=1, keepdims=True)
+    assert np.sqrt(np.mean(((near.moment_angle - exact.moment_angle) / largest) ** 2)) < 0.001
+    assert np.sqrt(np.mean((near.delta - exact.delta) ** 2)) < np.radians(0.05)
 
 
 def test_corner_holds_the_contact():
