@@ -22,9 +22,10 @@ from contour.response import (
     request_tip,
 )
 from contour.rod import Body, SideBody, TipBody
-from contour.rod_path import follow_rod
+from contour.rod_path import Hint, follow_rod
 from contour.silhouette import ArcProfile, Profile, sampled
 from contour.slip import follow
+from contour.tip import follow_tip
 
 __all__ = [
     "RodCycleResponse",
@@ -42,8 +43,8 @@ STEPS_OUT = 16
 """Steps a push out is followed in, at least; twice as many move delta by 0.01 deg rms on the way back."""
 LEAST_ANGLE = 1e-4
 """A push is never followed at less than this angle [rad]: its slips drown in rounding."""
-LEAST_ANGLE_TIP = 1e-3
-"""The same for a tip, whose height on its slope changes with the square of the angle [rad]."""
+LEAST_ANGLE_TIP = 2e-4
+"""The same for a tip, whose friction changes the rod's length by the cube of the angle alone; steps below are one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -165,26 +166,35 @@ def push_cycle_tip(
     asked, lean, bend = request_tip(
         eps, thetas, distance, friction, radius_along, radius_across, tilt, least=LEAST_ANGLE_TIP
     )
-    profile = ArcProfile(asked.bend)
-    body = TipBody(asked.eps, asked.friction, lean, ArcProfile(bend), profile)
-    return _follow(asked, body, profile, asked.friction / np.cos(lean))
+    profile, ridge = ArcProfile(asked.bend), ArcProfile(bend)
+    path_angles, wanted = refine(asked.angles, STEPS_OUT)
+    path_angles = np.maximum(path_angles, LEAST_ANGLE_TIP)
+    near = follow_tip(asked.eps, path_angles, asked.friction, lean, bend, profile)
+    hints = Hint(near.parameter, near.climb, near.eta, near.slipped_off)
+    body = TipBody(asked.eps, asked.friction, lean, ridge, profile)
+    return _follow(asked, body, (path_angles, wanted), hints)
 
 
 def _answer(asked: PushRequest, profile: Profile) -> RodCycleResponse:
-    body = SideBody(asked.eps, asked.friction, asked.along, profile)
-    return _follow(asked, body, profile, asked.friction)
-
-
-def _follow(asked: PushRequest, body: Body, profile: Profile, friction: FloatArray) -> RodCycleResponse:
     path_angles, wanted = refine(asked.angles, STEPS_OUT)
-    reduced = follow(asked.eps, path_angles, friction, asked.along, profile)
-    path = follow_rod(body, path_angles, reduced)
+    near = follow(asked.eps, path_angles, asked.friction, asked.along, profile)
+    eta = 0.5 * np.pi - np.arctan(asked.friction * near.along)
+    body = SideBody(asked.eps, asked.friction, asked.along, profile)
+    hints = Hint(near.parameter, near.lean, eta, near.slipped_off)
+    return _follow(asked, body, (path_angles, wanted), hints)
+
+
+def _follow(
+    asked: PushRequest, body: Body, path: tuple[FloatArray, NDArray[np.int64]], hints: Hint
+) -> RodCycleResponse:
+    path_angles, wanted = path
+    found = follow_rod(body, path_angles, hints)
     scale, near = asked.distance[..., None], asked.share.T.reshape(asked.shape)
     return RodCycleResponse(
-        delta=as_asked(asked, wanted, path.delta),
-        moment_angle=as_asked(asked, wanted, path.moment_angle) * near,
-        slipped_off=as_asked(asked, wanted, path.slipped_off),
-        slide=as_asked(asked, wanted, path.slide) * scale,
-        arc_length=as_asked(asked, wanted, path.arc_length) * scale,
-        converged=as_asked(asked, wanted, path.converged),
+        delta=as_asked(asked, wanted, found.delta),
+        moment_angle=as_asked(asked, wanted, found.moment_angle) * near,
+        slipped_off=as_asked(asked, wanted, found.slipped_off),
+        slide=as_asked(asked, wanted, found.slide) * scale,
+        arc_length=as_asked(asked, wanted, found.arc_length) * scale,
+        converged=as_asked(asked, wanted, found.converged),
     )

@@ -35,7 +35,7 @@ BoolArray = NDArray[np.bool_]
 
 MAX_LEAN = 1.4
 """Lean of the contact's normal out of the sensing plane beyond which the rod has left the body [rad]."""
-BEND_STEPS = 6
+BEND_STEPS = 5
 """Corrections of a tip contact's bend, each 1/5 of the bend squared of the one before."""
 
 
@@ -91,13 +91,13 @@ class Body(Protocol):
     """Sine of the friction angle: largest friction of a unit force."""
     profile: Profile
     """The silhouette in the sensing plane."""
+    eta_weight: float
+    """How much eta counts where iterates are compared, per radian of theta, at most 1."""
+    eta_blur: float
+    """Difference of eta that rounding asks for, times theta^3 [rad^4]."""
 
     def pose(self, theta: FloatArray, c: Contact, before: Memory) -> Pose:
         """Geometry, elastica and friction at the unknowns."""
-        ...
-
-    def guess(self, theta: FloatArray, b: FloatArray, along: FloatArray) -> Contact:
-        """A contact near b, friction with its share ``along`` along the beam."""
         ...
 
     def holds(self, c: Contact) -> BoolArray:
@@ -111,6 +111,9 @@ class Body(Protocol):
 
 class SideBody:
     """Bodies that the rod's side touches."""
+
+    eta_weight = np.inf
+    eta_blur = 0.0
 
     def __init__(self, eps: FloatArray, friction: FloatArray, radius: FloatArray, profile: Profile) -> None:
         self.eps = eps
@@ -166,22 +169,6 @@ class SideBody:
             delta=np.pi + np.arctan2(across, sine * p_y - cosine * towards),
         )
 
-    def guess(self, theta: FloatArray, b: FloatArray, along: FloatArray) -> Contact:
-        """A contact near b: lean by the small-angle rod, friction with its share ``along`` along the beam.
-
-        A rod with an end force bends by 3/2 of the slope of its chord; with the drop R zeta^2/2 and the shift
-        R zeta of the touching point this makes a quadratic equation for zeta.
-        """
-        sine, cosine = np.sin(theta), np.cos(theta)
-        out_c, out_n, cos, sin, _, _ = self.profile.at(b)
-        lean_0 = sine * (self.sin_eps * sin + self.cos_eps * cos)
-        ahead = cosine - sine * (self.sin_eps * out_c + self.cos_eps * out_n)
-        depth = out_c * sin + out_n * cos + ahead * lean_0
-        linear = ahead + 0.5 * self.radius * lean_0
-        constant = 1.5 * depth - lean_0 * ahead
-        root = np.sqrt(np.maximum(linear * linear - self.radius * constant, 0.0))
-        return Contact(b, 2.0 * constant / (linear + root), 0.5 * np.pi - np.arctan(self.friction * along))
-
     def holds(self, c: Contact) -> BoolArray:
         """Whether c is on the profile and not leant over."""
         return np.asarray(self.profile.within(c.b) & (np.abs(c.zeta) < MAX_LEAN))
@@ -195,6 +182,10 @@ class TipBody:
     """Bodies that the rod's tip touches; the unknown ``zeta`` is here the parameter of the profile along the
     beam.
     """
+
+    eta_weight = 1.0
+    """The rod's length depends on eta by 0.03 theta^3 alone, which rounding blurs; the moment does by theta/5."""
+    eta_blur = 3e-13
 
     def __init__(
         self, eps: FloatArray, friction: FloatArray, tilt: FloatArray, ridge: ArcProfile, profile: Profile
@@ -222,7 +213,9 @@ class TipBody:
         w = (p_t - ahead * t_t, p_n - ahead * t_n, p_y - ahead * t_y)
         aside = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
         wanted = aside / ahead
-        bend = 1.5 * np.arctan(wanted)
+        # The bend of a rod that bends little; its correction's limit is the same whatever it starts from.
+        axial = np.cos(c.eta) / np.sin(c.eta)
+        bend = 1.5 * wanted * (1.0 - wanted * (axial / 20.0 + (9.0 / 28.0) * wanted))
         for _ in range(BEND_STEPS):
             rod = shape(bend, c.eta)
             bend = bend * wanted * rod.ahead / rod.aside
@@ -250,13 +243,6 @@ class TipBody:
             root_force=np.sqrt(2.0 * np.maximum(bend, 0.0)) / scale,
             delta=np.pi + np.arctan2(beside_e, sine * p_y - cosine * along_e),
         )
-
-    def guess(self, theta: FloatArray, b: FloatArray, along: FloatArray) -> Contact:
-        """A contact near b where the tip is drawn in by a tenth of the bend squared, friction against it."""
-        slope = theta * self.cos_eps
-        drawn = -(0.1 * slope * slope + 0.5 * b * b) / self.cos_tilt
-        lean = 0.5 * slope - self.tilt
-        return Contact(b, drawn, 0.5 * np.pi - lean - np.arctan(self.friction * along))
 
     def holds(self, c: Contact) -> BoolArray:
         """Whether c is on both profiles."""

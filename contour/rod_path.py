@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from contour.planar_elastica import base_curvature
 from contour.rod import Body, Contact, Memory, Pose
-from contour.slip import Path, pace
+from contour.slip import pace
 
 __all__ = ["Hint", "RodPath", "follow_rod"]
 
@@ -32,7 +32,9 @@ TOLERANCE = 1e-6
 DIFFERENCE = 1e-5
 """Differences of the Jacobian, in theta or rad: truncation 1e-5, rounding 1e-8 for theta of 1 mrad."""
 DIFFERENCE_ETA = 1e-4
-"""The same for eta [rad], on which lengths depend by theta^3 alone."""
+"""The same for eta [rad], on which lengths depend by theta^3 alone; more where rounding asks for it."""
+LONGEST_ETA = 0.03
+"""No difference of eta is larger [rad]."""
 SPLIT = 8
 """Parts in which a step that does not settle is taken."""
 ROUND = 0.7
@@ -70,15 +72,25 @@ class RodPath:
 
 
 class Hint(NamedTuple):
-    """What the reduced rod says of a step's end."""
+    """What the reduced rod says of the contact at the end of a step, or of all steps."""
 
     b: FloatArray
-    along: FloatArray
+    zeta: FloatArray
+    eta: FloatArray
     slipped: BoolArray
 
-    def rows(self, index: NDArray[np.int64]) -> Hint:
-        """The same for a selection."""
-        return Hint(self.b[index], self.along[index], self.slipped[index])
+    @property
+    def contact(self) -> Contact:
+        """The unknowns."""
+        return Contact(self.b, self.zeta, self.eta)
+
+    def rows(self, index: NDArray[np.int64] | slice) -> Hint:
+        """The same for a selection of the last axis."""
+        return Hint(self.b[..., index], self.zeta[..., index], self.eta[..., index], self.slipped[..., index])
+
+    def step(self, index: int) -> Hint:
+        """One step of all."""
+        return Hint(self.b[index], self.zeta[index], self.eta[index], self.slipped[index])
 
 
 def _newton(body: Body, theta: FloatArray, c: Contact, before: Memory) -> tuple[Contact, FloatArray]:
@@ -88,17 +100,18 @@ def _newton(body: Body, theta: FloatArray, c: Contact, before: Memory) -> tuple[
     law is not, and is solved as it stands on that linearisation, with the two slips as unknowns.
     """
     h = DIFFERENCE * theta
+    h_eta = np.clip(body.eta_blur / theta**3, DIFFERENCE_ETA, LONGEST_ETA)
     _, _, _, _, _, speed = body.profile.at(c.b)
     p = body.pose(
         theta,
         Contact(
             np.stack((c.b, c.b + h * speed, c.b, c.b)),
             np.stack((c.zeta, c.zeta, c.zeta + h, c.zeta)),
-            np.stack((c.eta, c.eta, c.eta, c.eta + DIFFERENCE_ETA)),
+            np.stack((c.eta, c.eta, c.eta, c.eta + h_eta)),
         ),
         before,
     )
-    steps = (h, h, np.full_like(h, DIFFERENCE_ETA))
+    steps = (h, h, h_eta)
     values = (p.gap, p.slip_lat, p.slip_lon, p.force_lat, p.force_lon)
     here = [v[0] for v in values]
     column = [[(v[j] - v[0]) / steps[j - 1] for v in values] for j in (1, 2, 3)]
@@ -124,7 +137,8 @@ def _newton(body: Body, theta: FloatArray, c: Contact, before: Memory) -> tuple[
         slip = (np.where(held, -before.slip_lat, slip[0]), np.where(held, lon, slip[1]))
     target = (-here[0], slip[0] - here[1], slip[1] - here[2])
     move = [row[0] * target[0] + row[1] * target[1] + row[2] * target[2] for row in inverse]
-    far = np.maximum(np.maximum(np.abs(move[0]), np.abs(move[1])) / theta, np.abs(move[2]))
+    turned = np.abs(move[2]) * np.minimum(body.eta_weight * theta, 1.0)
+    far = np.maximum(np.maximum(np.abs(move[0]), np.abs(move[1])) / theta, turned)
     cut = np.minimum(1.0, LONGEST / np.maximum(far, LONGEST))
     return Contact(
         c.b + move[0] * speed * cut,
@@ -211,13 +225,13 @@ def _solve(body: Body, theta: FloatArray, guess: Contact, before: Memory) -> tup
     return Contact(b, zeta, eta), good
 
 
-def follow_rod(body: Body, thetas: FloatArray, reduced: Path) -> RodPath:
+def follow_rod(body: Body, thetas: FloatArray, hints: Hint) -> RodPath:
     """Follow n pushes through k angles.
 
     Args:
         body: what they touch, n rows.
         thetas: angles of the base from touch [rad], (k, n), all above zero.
-        reduced: the reduced rod on the same path, from whose increments each step starts.
+        hints: the reduced rod on the same path, (k, n), from whose increments each step starts.
     """
     size = thetas.shape
     fields = {name: np.zeros(size) for name in ("delta", "moment_angle", "slide", "lean", "arc_length")}
@@ -226,11 +240,9 @@ def follow_rod(body: Body, thetas: FloatArray, reduced: Path) -> RodPath:
     for first in range(0, size[1], CHUNK):
         part = slice(first, min(first + CHUNK, size[1]))
         walk = _Walk(body.rows(np.arange(part.start, part.stop)), {k: v[:, part] for k, v in fields.items()})
+        some = hints.rows(part)
         for step, theta in enumerate(thetas[:, part]):
-            hint = Hint(
-                reduced.parameter[step, part], reduced.along[step, part], reduced.slipped_off[step, part]
-            )
-            walk.go(step, theta, hint)
+            walk.go(step, theta, some.step(step))
             slipped[step, part] = walk.slipped
             converged[step, part] = walk.converged
     return RodPath(slipped_off=slipped, converged=converged, **fields)
@@ -246,7 +258,7 @@ class _Walk:
         self.live = np.arange(n)
         self.last = Memory(np.zeros(n), np.zeros(n), np.ones(n), np.zeros(n), np.zeros(n))
         self.start: dict[str, FloatArray | float] = {"delta": np.pi, "arc_length": 1.0}
-        self.hint_b = np.zeros(n)
+        self.hint_b, self.hint_zeta = np.zeros(n), np.zeros(n)
         self.theta = np.zeros(n)
         self.moved = np.zeros(n)
         self.slipped = np.zeros(n, dtype=np.bool_)
@@ -264,13 +276,19 @@ class _Walk:
         moved = theta - self.theta
         angles = (theta, moved, self.moved)
         with np.errstate(all="ignore"):
-            guess = self.body.guess(theta, self.last.b + (hint.b - self.hint_b), hint.along)
+            guess = Contact(
+                self.last.b + (hint.b - self.hint_b), self.last.zeta + (hint.zeta - self.hint_zeta), hint.eta
+            )
             new, after, pose, found = _advance(self.body, angles, guess, self.last)
+            # Where the base has not turned all stays as it was, force and all.
+            still = np.flatnonzero(moved == 0.0)
+            _stay(new, after, self.last, still)
+            found[still] = True
             lost = np.flatnonzero(~found & ~hint.slipped)
             if lost.size:
                 _replace((new, after, pose, found), lost, self._rescue(lost, angles, hint, guess))
-            rows = self.live[found]
-            self._write(step, rows, new, pose, found)
+            written = found & (moved != 0.0)
+            self._write(step, self.live[written], new, pose, written)
         lost = np.flatnonzero(~found)
         if lost.size:
             _, _, cos, _, _, _ = self.body.profile.rows(lost).at(self.last.b[lost])
@@ -281,7 +299,8 @@ class _Walk:
             self.live, self.body = self.live[keep], self.body.rows(keep)
             after = Memory(*(v[keep] for v in after))
             hint, theta, moved = hint.rows(keep), theta[keep], moved[keep]
-        self.last, self.hint_b, self.theta, self.moved = after, hint.b, theta, moved
+        self.last, self.theta, self.moved = after, theta, moved
+        self.hint_b, self.hint_zeta = hint.b, hint.zeta
 
     def _write(self, step: int, rows: NDArray[np.int64], new: Contact, pose: Pose, found: BoolArray) -> None:
         moment = base_curvature(pose.bend, new.eta, pose.root_force) / 3.0
@@ -295,8 +314,7 @@ class _Walk:
         """Rows that did not settle: the jump that the reduced rod makes, then the step in parts."""
         body, last = self.body.rows(lost), Memory(*(v[lost] for v in self.last))
         part = (angles[0][lost], angles[1][lost], angles[2][lost])
-        near = body.guess(part[0], hint.b[lost], hint.along[lost])
-        result = _advance(body, part, near, last)
+        result = _advance(body, part, hint.rows(lost).contact, last)
         still = np.flatnonzero(~result[3])
         if still.size:
             aim = Contact(*(v[lost[still]] for v in guess))
@@ -308,6 +326,14 @@ class _Walk:
             )
             _replace(result, still, again)
         return result
+
+
+def _stay(new: Contact, after: Memory, last: Memory, index: NDArray[np.int64]) -> None:
+    """Put the rows ``index`` back where they were."""
+    new.b[index], new.zeta[index] = last.b[index], last.zeta[index]
+    for target, source in zip(after, last, strict=True):
+        target[index] = source[index]
+    after.slip_lat[index], after.slip_lon[index] = 0.0, 0.0
 
 
 def _replace(

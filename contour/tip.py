@@ -49,6 +49,10 @@ LENGTH_STEPS = 3
 """Corrections of v on a corner, each about tan(chi) r/5 of the one before."""
 
 
+SWAY = 4.0
+"""Most change of p in the rod's length, over the step's share of theta: at 5.8 the tip would not slip."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TipPath:
     """A push followed through k angles, n at a time, arrays (k, n), lengths in s."""
@@ -286,7 +290,8 @@ def _follow_rows(rows: Rows, thetas: FloatArray, out: dict[str, FloatArray], sli
     n = thetas.shape[1]
     zero = np.zeros(n)
     b = v = climb = slid = paid = rate = rate_v = eta = moved_before = theta_before = zero
-    pull = -thetas[0] * rows.cos_eps * rows.sin_tilt / rows.cos_tilt
+    felt = -thetas[0] * rows.cos_eps * rows.sin_tilt / rows.cos_tilt
+    pull = felt
     gone = np.zeros(n, dtype=np.bool_)
     free = np.flatnonzero(~rows.profile.held())
     held = free.size < n
@@ -294,7 +299,10 @@ def _follow_rows(rows: Rows, thetas: FloatArray, out: dict[str, FloatArray], sli
         sine = np.sin(theta)
         moved = theta - theta_before
         w = pace(moved, moved_before)
-        turn = base_turn(rows, sine, np.cos(theta), pull)
+        # The rod's length knows p a step late, and not so suddenly that the tip would slip the wrong way.
+        most = SWAY * np.abs(moved) / theta
+        felt = felt + np.clip(pull - felt, -most, most)
+        turn = base_turn(rows, sine, np.cos(theta), felt)
         carry = w * w / (1.0 + 2.0 * w)
         before = Memory(b, carry * slid, climb + carry * paid)
         guess_b, guess_v = b + rate * (w * moved_before), v + rate_v * (w * moved_before)

@@ -183,7 +183,7 @@ def place(rows: Rows, turn: Turn, b: FloatArray, guess: FloatArray) -> Place:
 
 
 def base_turn(rows: Rows, sine: FloatArray, cosine: FloatArray, p: FloatArray) -> Turn:
-    """t0 at sin theta and cos theta on the surface's axes, with p of the step before."""
+    """t0 at sin theta and cos theta on the surface's axes, and Q for p."""
     t_n = -sine * rows.cos_eps
     return Turn(
         -sine * rows.sin_eps,

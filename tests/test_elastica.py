@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from contour import contact, elastica
 from contour.response import refine
 from contour.rod import SideBody
-from contour.rod_path import follow_rod
+from contour.rod_path import Hint, follow_rod
 from contour.silhouette import ArcProfile
 from contour.slip import follow
 
@@ -73,7 +73,9 @@ def _one_path(eps, theta, mu, radius, kappa):
     e, m = np.array([eps]), np.array([mu])
     profile = ArcProfile(np.array([kappa]))
     r = np.array([radius])
-    return follow_rod(SideBody(e, m, r, profile), angles, follow(e, angles, m, r, profile))
+    near = follow(e, angles, m, r, profile)
+    hints = Hint(near.parameter, near.lean, 0.5 * np.pi - np.arctan(m * near.along), near.slipped_off)
+    return follow_rod(SideBody(e, m, r, profile), angles, hints)
 
 
 @pytest.mark.parametrize(
@@ -312,6 +314,46 @@ def test_reduced_tip_is_near_on_both_strokes(rng):
     largest = exact.moment_angle.max(axis=1, keepdims=True)
     assert np.sqrt(np.mean(((near.moment_angle - exact.moment_angle) / largest) ** 2)) < 0.001
     assert np.sqrt(np.mean((near.delta - exact.delta) ** 2)) < np.radians(0.05)
+
+
+def test_every_tip_converges_or_has_slipped_off(rng):
+    """Tilts to 48 deg, radii from 5 mm, mu to 0.5, and paths as a simulator's: many angles, some repeated, some next to
+    nothing.
+    """
+    n = 120
+    radius = 10 ** rng.uniform(np.log10(0.005), np.log10(0.2), n)
+    kind = rng.integers(0, 3, n)
+    shares = np.concatenate((np.linspace(0.0, 1.0, 25), [0.99], np.linspace(0.99, 0.0, 25)))
+    peak = 10 ** rng.uniform(-3.3, -1.15, n)
+    path = np.maximum(peak[:, None] * shares + rng.uniform(-2e-4, 5e-4, n)[:, None], 0.0)
+    cycle = elastica.push_cycle_tip(
+        rng.uniform(-0.7, 0.7, n),
+        path,
+        distance=0.21,
+        friction=rng.uniform(0.05, 0.5, n),
+        radius_along=10 ** rng.uniform(-2.0, 0.0, n),
+        radius_across=np.select([kind == 0, kind == 1], [np.inf, -np.maximum(radius, 0.02)], radius),
+        tilt=rng.uniform(-0.84, 0.84, n),
+    )
+    assert np.all(cycle.converged | cycle.slipped_off)
+    assert cycle.slipped_off[:, -1].mean() < 0.1
+
+
+def test_tip_that_does_not_turn_stays_as_it_was():
+    """The same angle again, and angles under the least, leave the exact tip where it was."""
+    cycle = elastica.push_cycle_tip(
+        0.3,
+        [1e-5, 5e-5, 0.02, 0.03, 0.03, 0.02],
+        distance=0.2,
+        friction=0.2,
+        radius_along=np.inf,
+        radius_across=0.05,
+        tilt=0.5,
+    )
+    assert cycle.converged.all()
+    assert cycle.moment_angle[3] == cycle.moment_angle[4]
+    assert cycle.delta[3] == cycle.delta[4]
+    assert cycle.moment_angle[1] == pytest.approx(5.0 * cycle.moment_angle[0], rel=1e-9)
 
 
 def test_corner_holds_the_contact():
