@@ -1,25 +1,29 @@
 """Normals smoothed along contours after the scan, from sensed normals and neighbours' touches, not across corners.
 
-Between neighbours the outline is developed by its chords: with s the length along it and alpha(s) the angle
-of its normal, both from the contact in question,
+The outline is developed along its chords: with s the length along it, alpha(s) the angle of its normal and
+y(s) the developed offset, both from the contact in question,
 
-    alpha(s) = theta + kappa s + gamma s^2 / 2,        y(s) = y0 + theta s + kappa s^2 / 2 + gamma s^3 / 6,
+    alpha(s) = theta + kappa s + gamma s^2 / 2 + what else kappa changes by,        y(s) = y0 + int_0^s alpha,
 
-since a chord points where the tangent does on average. Sensed normals are readings of alpha, developed
-touches are readings of y; (y0, theta, kappa, gamma) are fitted to those of a window by weighted least
-squares, gamma with a prior as wide as curvatures are seen to change. Windows reach to both sides, to one, or
-to the nearest neighbours alone; those that contradict their readings, as any across a corner does, are
-dropped, and of the rest the one that knows theta best is taken. Where none is left the sensed normal stands.
+since a chord points where the tangent does on average. Sensed normals are readings of alpha, developed touches
+are readings of y, of up to two neighbours on each side. How curvature changes is not known: beside its trend
+gamma it drifts (a Wiener process, calm or lively); on a link between neighbours it may jump (by as much as the
+outline turns hereabouts), or there may be a corner (a jump of alpha); a sensed normal may be wrong. Every
+choice of at most two such events is a hypothesis: a linear Gaussian model, whose evidence weighs it.
+The normal is the mean over all of them, its sigma that of their mixture's central 95 %, wider where none of
+them explains the readings. Where neighbours say nothing, the sensed normal stands.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
 
-from contour.contacts import Contacts, Flag
+from contour.contacts import Contacts, Flag, Kind
 from contour.errors import UsageError
 from contour.frames import wrap_angle
 
@@ -30,32 +34,70 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 SIDE = 2
-"""Neighbours to each side that a window may reach."""
-WINDOWS = np.array(
-    [[1, 1, 1, 1, 1], [0, 1, 1, 1, 0], [1, 1, 1, 0, 0], [0, 0, 1, 1, 1], [0, 1, 1, 0, 0], [0, 0, 1, 1, 0]],
-    dtype=np.bool_,
-)
-"""(windows, 2 SIDE + 1) contacts that each window takes."""
-CHANGE = (0.3, 0.01)
-"""Sigma of the change of turn from step to step: a share of the turn, and what is left on a straight line
-[rad].
+"""Neighbours to each side that take part."""
+SEEN = 2 * SIDE + 1
+"""Contacts of a window."""
+TREND = (0.3, 0.01)
+"""Sigma of what the turn changes by from step to step all along: a share of the turn, and what is left on a
+line [rad].
 """
-OMITTED = 0.7
-"""Sigma of the polynomial's next coefficient, as share of what the turn per step changes over the window."""
-FREE = 10.0
-"""Sigma of unknowns that no prior holds, in units of the step [-, rad]."""
-SHARPEST = float(np.deg2rad(50.0))
-"""A turn from one contact to the next above this is a corner, whatever else fits [rad]."""
+DRIFT = (0.05, 0.003)
+"""The same of what each step adds at random, on calm outlines."""
+LIVELY_DRIFT = (0.4, 0.01)
+"""The same on lively ones."""
+JUMP_LEFT = 0.02
+"""A jump's sigma is the largest turn of the window and this [rad per step]."""
+CORNER = 1.0
+"""Sigma of a corner's angle [rad]."""
+WRONG = 0.15
+"""Sigma of what a wrong sensed normal is off [rad]."""
+CHANCE = {"lively": 0.25, "jump": 0.1, "corner": 0.05, "wrong": 0.005}
+"""How much rarer than none each event is: drift of the lively kind over the window, a jump of curvature or a
+corner on one link, one wrong sensed normal.
+"""
+EVENTS = 2
+"""Most events of a hypothesis."""
+FREE = 1.0
+"""Sigma of offset and angle before any reading [steps, rad]."""
 GENTLE = float(np.deg2rad(10.0))
-"""Turns from chord to chord below this are no corner's [rad]."""
-LARGEST_MISFIT = 3.0
-"""Windows are dropped if chi^2 exceeds its mean by more than this many of its standard deviations."""
+"""Only where no chord turns by more than this from the next may neighbours overrule a sensed normal [rad]."""
+OVERRULED = 0.05
+"""Below this chance of being wrong, a sensed normal that is sharper than the mixture stands."""
+SILENT = float(np.deg2rad(30.0))
+"""A mixture wider than this says nothing [rad]."""
+ABSENT = 1e4
+"""Variance of readings that are not there [steps^2, rad^2]."""
+HALF_WIDTH = 1.959963984540054
+"""Half width of a normal distribution's central 95 % in sigmas."""
+HALVINGS = 24
+"""Of the bracket [0, 3] rad of the half width: to 2e-7 rad."""
+GAUSS = ((0.5 - np.sqrt(0.15), 5.0 / 18.0), (0.5, 8.0 / 18.0), (0.5 + np.sqrt(0.15), 5.0 / 18.0))
+"""Places and weights on a link; exact for the quartics that are integrated."""
 FLOOR = float(np.deg2rad(0.05))
-"""No smoothed normal is claimed to be better than this [rad]."""
+"""No smoothed normal is claimed to be better than this, no sensed one taken to be [rad]."""
 TOUCH_SIGMA = 20e-6
 """Standard deviation of a touch across the outline, if nothing is said [m]."""
-CHUNK = 2048
-"""Contacts fitted at a time."""
+CHUNK = 1024
+"""Contacts smoothed at a time."""
+
+Event = tuple[str, int]
+"""``jump`` or ``corner`` and its link, ``wrong`` and its contact, counted along the window; ``lively`` and 0."""
+
+
+def _hypotheses() -> tuple[tuple[Event, ...], ...]:
+    """All sets of at most EVENTS events, no two of them on one link."""
+    links: list[Event] = [(name, link) for name in ("jump", "corner") for link in range(SEEN - 1)]
+    events: list[Event] = [("lively", 0), *links, *(("wrong", contact) for contact in range(SEEN))]
+    sets = (chosen for count in range(EVENTS + 1) for chosen in combinations(events, count))
+    return tuple(
+        chosen
+        for chosen in sets
+        if not any(a in links and b in links and a[1] == b[1] for a, b in combinations(chosen, 2))
+    )
+
+
+HYPOTHESES = _hypotheses()
+"""All that may have happened within a window, the first of them nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,22 +107,21 @@ class SmoothedNormals:
     outward: FloatArray
     """(n,) rad, angle of the outer normal in Pi."""
     sigma: FloatArray
-    """(n,) rad, one standard deviation."""
+    """(n,) rad, one standard deviation: the half width of the central 95 % over 1.96."""
     neighbours: IntArray
     """(n,) other contacts that took part; 0 where the sensed normal stands."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Readings:
-    """Windows of 2 SIDE + 1 contacts around each of m contacts, lengths in units of the local step."""
+    """Windows of SEEN contacts around each of m contacts, lengths in units of the local step."""
 
-    place: FloatArray  # (m, k) s
-    lateral: FloatArray  # (m, k) y
-    angle: FloatArray  # (m, k) alpha
-    lateral_weight: FloatArray  # (m, k) 1 / variance, 0 where there is no such contact
-    angle_weight: FloatArray  # (m, k)
-    turn: FloatArray  # (m,) rad, how much the outline turns per step
-    broken: BoolArray  # (m, k - 1) links across a corner
+    place: FloatArray  # (m, SEEN) s
+    value: FloatArray  # (m, 2 SEEN) y, then alpha
+    variance: FloatArray  # (m, 2 SEEN) of each, ABSENT where there is none
+    turn: FloatArray  # (m,) rad, how much the outline turns per step here
+    sharpest: FloatArray  # (m,) rad, the largest turn per step of the window
+    linked: IntArray  # (m,) neighbours that chords lead to
     gentle: BoolArray  # (m,) all neighbours are there and no chord turns much
 
 
@@ -96,7 +137,8 @@ def smooth_normals(
 
     Returns:
         Angle and sigma of the normal of each contact. Flagged contacts lend neighbours their touch only and
-        get their normal from them; those that felt nothing take no part.
+        get their normal from them; those that felt nothing take no part. Contacts with the beam's end and with
+        its side lie on different curves and take no part in each other's normals.
     """
     n = len(contacts)
     spread = np.broadcast_to(np.asarray(touch_sigma, dtype=np.float64), (n,))
@@ -117,12 +159,13 @@ def smooth_normals(
     for begin in range(0, chain.size, CHUNK):
         rows = np.arange(begin, min(begin + CHUNK, chain.size))
         readings = _readings(contacts, spread, chain, neighbours[rows], side[rows])
-        turned, error, count = _best(readings)
+        turned, error, wrong = _mixture(readings)
         at = chain[rows]
-        fits = np.isfinite(error)
-        outward[at] = np.where(fits, wrap_angle(contacts.outward[at] + turned), outward[at])
-        sigma[at] = np.where(fits, np.maximum(error, FLOOR), sigma[at])
-        used[at] = np.where(fits, count, 0)
+        sharper = (contacts.flags[at] == 0) & (wrong < OVERRULED) & (error >= contacts.sigma_normal[at])
+        stands = sharper | (readings.linked == 0) | (error > SILENT)
+        outward[at] = np.where(stands, outward[at], wrap_angle(contacts.outward[at] + turned))
+        sigma[at] = np.where(stands, sigma[at], error)
+        used[at] = np.where(stands, 0, readings.linked)
     return SmoothedNormals(outward=outward, sigma=sigma, neighbours=used)
 
 
@@ -160,90 +203,145 @@ def _readings(
     touch, sensed = contacts.touch[index], contacts.outward[index]
     link = touch[:, 1:] - touch[:, :-1]
     length = np.hypot(link[..., 0], link[..., 1])
-    joined = there[:, 1:] & there[:, :-1] & (length > 0.0)
+    end = contacts.kind[index] == Kind.TIP
+    joined = there[:, 1:] & there[:, :-1] & (length > 0.0) & (end[:, 1:] == end[:, :-1])
+    reached = _reached(joined)
     reference = sensed[:, SIDE : SIDE + 1]
     chord = wrap_angle(np.arctan2(link[..., 1], link[..., 0]) + side[:, None] - reference)
     near = slice(SIDE - 1, SIDE + 1)
     step = np.where(joined, length, 0.0)[:, near].sum(axis=1) / np.maximum(joined[:, near].sum(axis=1), 1)
     unit = np.where(step > 0.0, step, 1.0)[:, None]
     reach = np.where(joined, length, 0.0) / unit
-    rise = reach * np.where(joined, chord, 0.0)
-    place, lateral = np.zeros(index.shape), np.zeros(index.shape)
-    place[:, SIDE + 1 :] = np.cumsum(reach[:, SIDE:], axis=1)
-    lateral[:, SIDE + 1 :] = np.cumsum(rise[:, SIDE:], axis=1)
-    place[:, :SIDE] = -np.cumsum(reach[:, SIDE - 1 :: -1], axis=1)[:, ::-1]
-    lateral[:, :SIDE] = -np.cumsum(rise[:, SIDE - 1 :: -1], axis=1)[:, ::-1]
-    angle = wrap_angle(sensed - reference)
-    good = there & (contacts.flags[index] == 0)
-    # Turn per step between the two chords that meet here; from chord to sensed normal at an end.
-    half = np.where(joined[:, SIDE], chord[:, SIDE], -chord[:, SIDE - 1])
-    bend = wrap_angle(chord[:, 1:] - chord[:, :-1])
-    pairs = joined[:, 1:] & joined[:, :-1]
-    turn = np.where(pairs[:, SIDE - 1], bend[:, SIDE - 1], 2.0 * half)
-    # What the polynomial leaves out grows with the change of the turn over the window.
-    beside = np.where(pairs, np.abs(bend - turn[:, None]), 0.0).max(axis=1)
-    left_out = OMITTED * beside[:, None]
-    jump = np.abs(wrap_angle(sensed[:, 1:] - sensed[:, :-1]))
-    broken = ~joined | ((jump > SHARPEST) & good[:, 1:] & good[:, :-1])
+    bend = np.where(joined[:, 1:] & joined[:, :-1], wrap_angle(chord[:, 1:] - chord[:, :-1]), 0.0)
+    # Each chord within half a turn of the next one inwards.
+    unwrapped = chord.copy()
+    unwrapped[:, SIDE + 1 :] = chord[:, SIDE, None] + np.cumsum(bend[:, SIDE:], axis=1)
+    unwrapped[:, : SIDE - 1] = chord[:, SIDE - 1, None] - np.cumsum(bend[:, SIDE - 2 :: -1], axis=1)[:, ::-1]
+    rise = reach * np.where(joined, unwrapped, 0.0)
+    place, lateral = _developed(reach), _developed(rise)
+    angle = np.where(reached, wrap_angle(sensed - reference), 0.0)
+    good = reached & (contacts.flags[index] == 0)
+    # At an end there is one chord alone: what it turns from the sensed normal, twice.
+    lone = 2.0 * np.where(joined[:, SIDE], chord[:, SIDE], -chord[:, SIDE - 1])
+    both = joined[:, SIDE] & joined[:, SIDE - 1]
+    turn = np.where(both, bend[:, SIDE - 1], np.where(joined[:, near].any(axis=1), lone, 0.0))
     return _Readings(
         place,
-        lateral,
-        angle,
-        there / ((spread[index] / unit) ** 2 + (left_out * place**4 / 24.0) ** 2),
-        good / (np.maximum(contacts.sigma_normal[index], FLOOR) ** 2 + (left_out * place**3 / 6.0) ** 2),
+        np.concatenate((lateral, angle), axis=1),
+        np.concatenate(
+            (
+                np.where(reached, (spread[index] / unit) ** 2, ABSENT),
+                np.where(good, np.maximum(contacts.sigma_normal[index], FLOOR) ** 2, ABSENT),
+            ),
+            axis=1,
+        ),
         turn,
-        broken,
+        np.maximum(np.abs(bend).max(axis=1), np.where(both, 0.0, np.abs(turn))),
+        np.count_nonzero(reached, axis=1) - 1,
         joined.all(axis=1) & (np.abs(bend).max(axis=1) < GENTLE),
     )
 
 
-def _best(readings: _Readings) -> tuple[FloatArray, FloatArray, IntArray]:
-    """theta (m,) rad, its sigma (infinite where no window fits), and how many neighbours took part."""
-    m = readings.turn.size
-    theta, sigma, count = np.zeros(m), np.full(m, np.inf), np.zeros(m, dtype=np.int64)
-    for window in WINDOWS:
-        links = window[1:] & window[:-1]
-        whole = ~(readings.broken & links).any(axis=1)
-        fitted, error, misfit = _fit(readings, window)
-        better = whole & (misfit < LARGEST_MISFIT) & (error < sigma)
-        theta[better], sigma[better], count[better] = fitted[better], error[better], int(window.sum()) - 1
-    # A sensed normal that is silently wrong contradicts every window. On a gentle stretch the others outvote it.
-    fitted, error, misfit = _fit(_without_own(readings), WINDOWS[0])
-    better = readings.gentle & (misfit < LARGEST_MISFIT) & (error < sigma)
-    theta[better], sigma[better], count[better] = fitted[better], error[better], 2 * SIDE
-    return theta, sigma, count
+def _reached(joined: BoolArray) -> BoolArray:
+    """(m, SEEN): whether links (m, SEEN - 1) lead to a contact from the middle."""
+    ahead = np.logical_and.accumulate(joined[:, SIDE:], axis=1)
+    back = np.logical_and.accumulate(joined[:, SIDE - 1 :: -1], axis=1)[:, ::-1]
+    return np.concatenate((back, np.ones((len(joined), 1), dtype=np.bool_), ahead), axis=1)
 
 
-def _without_own(readings: _Readings) -> _Readings:
-    """The same, the sensed normal in the middle left out."""
-    weight = readings.angle_weight.copy()
-    weight[:, SIDE] = 0.0
-    return replace(readings, angle_weight=weight)
+def _developed(links: FloatArray) -> FloatArray:
+    """(m, SEEN): ``links`` (m, SEEN - 1) summed from the middle outwards, negative on the way back."""
+    ahead = np.cumsum(links[:, SIDE:], axis=1)
+    back = -np.cumsum(links[:, SIDE - 1 :: -1], axis=1)[:, ::-1]
+    return np.concatenate((back, np.zeros((len(links), 1)), ahead), axis=1)
 
 
-def _fit(readings: _Readings, window: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """theta (m,), its sigma (m,) and the misfit (m,) of the polynomial over one window."""
-    s = readings.place[:, window]
+def _kernels(place: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Covariances (m, SEEN - 1, 2 SEEN, 2 SEEN) of readings per unit variance of jump and of corner, by link.
+
+    Either may be anywhere on its link. A jump at u turns what lies beyond by s - u and offsets it by
+    (s - u)^2 / 2, a corner by 1 and s - u.
+    """
+    m = len(place)
+    jump = np.zeros((m, SEEN - 1, 2 * SEEN, 2 * SEEN))
+    corner = np.zeros_like(jump)
+    for link in range(SEEN - 1):
+        beyond = np.arange(SEEN) > link if link >= SIDE else np.arange(SEEN) <= link
+        for share, weight in GAUSS:
+            u = place[:, link] + share * (place[:, link + 1] - place[:, link])
+            past = np.where(beyond, place - u[:, None], 0.0)
+            whole = np.broadcast_to(beyond.astype(np.float64), past.shape)
+            for kernel, parts in ((jump, (past**2 / 2.0, past)), (corner, (past, whole))):
+                effect = np.concatenate(parts, axis=1)
+                kernel[:, link] += weight * effect[:, :, None] * effect[:, None, :]
+    return jump, corner
+
+
+def _mixture(readings: _Readings) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """theta (m,) rad, its sigma (m,) and the chance (m,) that the sensed normal in the middle is wrong."""
+    s = readings.place
     one, zero = np.ones_like(s), np.zeros_like(s)
     design = np.concatenate(
-        (
-            np.stack((one, s, s**2 / 2.0, s**3 / 6.0), axis=2),
-            np.stack((zero, one, s, s**2 / 2.0), axis=2),
-        ),
+        (np.stack((one, s, s**2 / 2.0, s**3 / 6.0), axis=2), np.stack((zero, one, s, s**2 / 2.0), axis=2)),
         axis=1,
-    )  # (m, 2 k, 4) for (y0, theta, kappa, gamma)
-    value = np.concatenate((readings.lateral[:, window], readings.angle[:, window]), axis=1)
-    weight = np.concatenate((readings.lateral_weight[:, window], readings.angle_weight[:, window]), axis=1)
-    change = CHANGE[0] * np.abs(readings.turn) + CHANGE[1]
-    prior = np.column_stack((np.full((s.shape[0], 3), FREE**-2), change**-2.0))
-    weighted = design * weight[..., None]
-    normal = np.einsum("mki,mkj->mij", weighted, design) + prior[:, :, None] * np.eye(4)
-    covariance = np.linalg.inv(normal)
-    found = np.einsum("mij,mkj,mk->mi", covariance, weighted, value)
-    residual = value - np.einsum("mki,mi->mk", design, found)
-    square = np.sum(weight * residual**2, axis=1) + found[:, 3] ** 2 * prior[:, 3]
-    # Of the four unknowns one has a prior that counts as a reading.
-    freedom = np.maximum(np.count_nonzero(weight > 0.0, axis=1) - 3, 1)
-    misfit = (square - freedom) / np.sqrt(2.0 * freedom)
-    inflation = np.sqrt(np.maximum(square / freedom, 1.0))
-    return found[:, 1], np.sqrt(covariance[:, 1, 1]) * inflation, misfit
+    )  # (m, 2 SEEN, 4) for (y0, theta, kappa_0, gamma)
+    widest = (readings.sharpest + JUMP_LEFT) ** 2
+    turn = np.abs(readings.turn)
+    prior = np.column_stack((np.full((len(s), 2), FREE**2), widest, _variance(TREND, turn)))
+    jump, corner = _kernels(s)
+    calm, lively = _variance(DRIFT, turn), _variance(LIVELY_DRIFT, turn)
+    plain = np.einsum("mki,mi,mji->mkj", design, prior, design)
+    drifting = jump.sum(axis=1)
+    plain += calm[:, None, None] * drifting + readings.variance[:, :, None] * np.eye(2 * SEEN)
+    sought = FREE**2 * design[:, :, 1]  # covariance of theta and readings
+    right = np.stack((readings.value, sought), axis=2)
+    mean = np.zeros((len(s), len(HYPOTHESES)))
+    variance, evidence, square = np.zeros_like(mean), np.zeros_like(mean), np.zeros_like(mean)
+    own = np.zeros(len(HYPOTHESES), dtype=np.bool_)
+    for h, events in enumerate(HYPOTHESES):
+        covariance = plain.copy()
+        for name, where in events:
+            if name == "lively":
+                covariance += (lively - calm)[:, None, None] * drifting
+            elif name == "jump":
+                covariance += widest[:, None, None] * jump[:, where]
+            elif name == "corner":
+                covariance += CORNER**2 * corner[:, where]
+            else:
+                covariance[:, SEEN + where, SEEN + where] += WRONG**2
+        root = np.linalg.cholesky(covariance)
+        solved = np.linalg.solve(root, right)
+        square[:, h] = np.sum(solved[:, :, 0] ** 2, axis=1)
+        mean[:, h] = np.sum(solved[:, :, 0] * solved[:, :, 1], axis=1)
+        variance[:, h] = FREE**2 - np.sum(solved[:, :, 1] ** 2, axis=1)
+        evidence[:, h] = -0.5 * np.sum(solved[:, :, 0] ** 2, axis=1) + sum(
+            np.log(CHANCE[name]) for name, _ in events
+        )
+        evidence[:, h] -= np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+        own[h] = ("wrong", SIDE) in events
+    evidence[:, own] = np.where(readings.gentle[:, None], evidence[:, own], -np.inf)
+    weight = np.exp(evidence - evidence.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
+    # What no hypothesis explains widens sigma. Offset and angle are free, which takes two readings.
+    freedom = np.maximum(np.count_nonzero(readings.variance < ABSENT, axis=1) - 2, 1)
+    stretch = np.sqrt(np.maximum(np.sum(weight * square, axis=1) / freedom, 1.0))
+    theta, sigma = _central(weight, mean, np.sqrt(np.maximum(variance, 0.0)) + 1e-9)
+    return theta, np.maximum(sigma * stretch, FLOOR), weight[:, own].sum(axis=1)
+
+
+def _variance(sigma: tuple[float, float], turn: FloatArray) -> FloatArray:
+    """(m,) rad^2, of changes of the turn whose sigma is a share of ``turn`` (m,) and a rest."""
+    return np.asarray((sigma[0] * turn + sigma[1]) ** 2)
+
+
+def _central(weight: FloatArray, mean: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean (m,) of mixtures of normal distributions (m, h), and the half width of 95 % about it over 1.96."""
+    middle = np.sum(weight * mean, axis=1)
+    offset = (middle[:, None] - mean) / sigma
+    low, high = np.zeros(len(middle)), np.full(len(middle), 3.0)
+    for _ in range(HALVINGS):
+        half = 0.5 * (low + high)
+        reach = half[:, None] / sigma
+        inside = np.sum(weight * (ndtr(offset + reach) - ndtr(offset - reach)), axis=1)
+        low, high = np.where(inside < 0.95, half, low), np.where(inside < 0.95, high, half)
+    return middle, high / HALF_WIDTH

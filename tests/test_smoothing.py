@@ -9,7 +9,7 @@ import pytest
 from planar_bench import PlanarBench, follow, make_contacts, plane_plan, rounded_box
 
 from contour.antenna import Antenna
-from contour.contacts import Contacts, Flag
+from contour.contacts import Contacts, Flag, Kind
 from contour.errors import UsageError
 from contour.frames import wrap_angle
 from contour.smoothing import smooth_normals
@@ -20,14 +20,14 @@ TOUCH = 20e-6
 """Sigma of a touch [m]."""
 
 
-def noisy(touch, outward, contour, order, *, seed=0) -> Contacts:
+def noisy(touch, outward, contour, order, *, seed=0, sensed=SENSED) -> Contacts:
     """Contacts with readings of true ``touch`` and ``outward``."""
     rng = np.random.default_rng(seed)
     return make_contacts(
         contour,
         touch + TOUCH * rng.standard_normal(touch.shape),
-        wrap_angle(outward + SENSED * rng.standard_normal(outward.size)),
-        sigma=SENSED,
+        wrap_angle(outward + sensed * rng.standard_normal(outward.size)),
+        sigma=sensed,
         order=order,
     )
 
@@ -97,6 +97,21 @@ def test_corners_are_not_smoothed_over(radius_mm):
     # Never worse than sensed by more than the tail of 3000 draws of 0.5 deg.
     assert error.max() < np.deg2rad(2.2)
     assert np.median(error[~arc]) < np.deg2rad(0.2)
+
+
+def test_next_to_a_sharp_corner_one_side_still_tells():
+    """The last contacts of a face gain from the face, though the corner may be anywhere on their link."""
+    touch, outward, contour, order, _ = squares(0.0)
+    smoothed = smooth_normals(
+        noisy(touch, outward, contour, order), closed=np.ones(30, dtype=bool), touch_sigma=TOUCH
+    )
+    last = np.abs(touch).min(axis=1) > 0.025
+    error = errors(smoothed, outward)[last]
+    assert last.sum() > 200
+    # 236 contacts: three deviations of a share of 0.95 are 0.04. Without corners sigma stays above 0.93.
+    assert np.mean(error < 1.96 * smoothed.sigma[last]) > 0.91
+    assert np.median(smoothed.sigma[last]) < 0.9 * SENSED
+    assert np.sqrt(np.mean(error**2)) < 0.9 * SENSED
 
 
 def test_coarse_steps_over_corners_lose_nothing():
@@ -228,3 +243,68 @@ def test_bad_arguments_are_refused_by_name():
         smooth_normals(contacts, touch_sigma=0.0)
     with pytest.raises(UsageError, match="closed has 1 contours"):
         smooth_normals(contacts, closed=np.ones(1, dtype=bool))
+
+
+def stadiums(radius, *, straight=0.04, step=5e-3, contours=60):
+    """Touches, normals, contours and order round two half circles joined by lines; also the distance to a joint."""
+    half = np.pi * radius
+    count = round(2.0 * (straight + half) / step)
+    s = (np.arange(count) + np.linspace(0.0, 1.0, contours)[:, None]) * 2.0 * (straight + half) / count
+    number, along = np.divmod(s, straight + half)
+    turn = np.clip(along - straight, 0.0, None) / radius
+    x = np.clip(along, None, straight) - 0.5 * straight + radius * np.sin(turn)
+    y = -radius * np.cos(turn)
+    flip = 1.0 - 2.0 * (number % 2)
+    outward = wrap_angle(turn - 0.5 * np.pi + np.pi * number)
+    length = straight + half
+    joint = np.minimum(np.minimum(along, length - along), np.abs(along - straight))
+    return (
+        np.stack((flip * x, flip * y), axis=2).reshape(-1, 2),
+        outward.ravel(),
+        np.repeat(np.arange(contours), count),
+        np.tile(np.arange(count), contours),
+        joint.ravel(),
+    )
+
+
+@pytest.mark.parametrize("radius_mm", [8.0, 15.0, 30.0])
+@pytest.mark.parametrize("sensed_deg", [0.2, 1.0])
+def test_curvature_that_jumps_between_two_touches_keeps_its_coverage(radius_mm, sensed_deg):
+    """Where an arc goes over into a line, sigmas hold on both sides, and no normal gets worse."""
+    touch, outward, contour, order, joint = stadiums(radius_mm * 1e-3)
+    sigma = np.deg2rad(sensed_deg)
+    contacts = noisy(touch, outward, contour, order, sensed=sigma)
+    smoothed = smooth_normals(contacts, closed=np.ones(60, dtype=bool), touch_sigma=TOUCH)
+    error, before = errors(smoothed, outward), np.abs(wrap_angle(contacts.outward - outward))
+    near = joint < 5e-3
+    # Some 480 contacts lie within a step of a joint: three deviations of a share of 0.95 are 0.03.
+    assert near.sum() > 400
+    assert np.mean(error[near] < 1.96 * smoothed.sigma[near]) > 0.92
+    assert np.mean(error[near] ** 2) < np.mean(before[near] ** 2)
+    assert np.mean(error[~near] ** 2) < 0.6 * np.mean(before[~near] ** 2)
+
+
+def test_side_and_end_of_the_beam_are_smoothed_apart():
+    """They touch different curves: side contacts get what they get alone, whatever the tips between say."""
+    touch, outward, contour, order = ellipses(0.06, 0.06, contours=1)
+    contacts = noisy(touch, outward, contour, order)
+    tip = (order >= 20) & (order < 30)
+    kind = np.where(tip, int(Kind.TIP), int(Kind.SIDE)).astype(np.int8)
+    moved = np.where(tip[:, None], contacts.touch * 1.05, contacts.touch)
+    mixed = smooth_normals(replace(contacts, kind=kind, touch=moved), touch_sigma=TOUCH)
+    for part in (order < 20, tip, order >= 30):
+        alone = smooth_normals(replace(contacts, kind=kind, touch=moved).take(part), touch_sigma=TOUCH)
+        assert np.allclose(mixed.outward[part], alone.outward, atol=1e-12)
+        assert np.allclose(mixed.sigma[part], alone.sigma, rtol=1e-9)
+
+
+def test_a_lone_corner_contact_keeps_its_sensed_normal():
+    """A contact on an arc that is much shorter than the steps keeps the sensed normal, or one as sharp."""
+    touch, outward, contour, order, arc = squares(1e-3)
+    contacts = noisy(touch, outward, contour, order)
+    smoothed = smooth_normals(contacts, closed=np.ones(30, dtype=bool), touch_sigma=TOUCH)
+    kept = arc & (smoothed.neighbours == 0)
+    assert kept.sum() > 0.3 * arc.sum() > 10
+    assert np.array_equal(smoothed.outward[kept], contacts.outward[kept])
+    assert np.array_equal(smoothed.sigma[kept], contacts.sigma_normal[kept])
+    assert np.all(smoothed.sigma[arc] <= SENSED * (1.0 + 1e-9))
