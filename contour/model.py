@@ -118,7 +118,7 @@ class ModelStrategy:
         prior, tangent = memory.prior(touch, self._antenna)
         phi = np.where(touch.fresh, touch.expected, memory.outward[touch.which]) + np.pi
         careful = tangent.corner
-        believed = Posterior(prior, tangent.corner, self._antenna, self._error, self._settings.misfit)
+        believed = Posterior(prior, tangent.corner, self._antenna, self._error)
         self._work = _Work(
             touch=touch,
             believed=believed,

@@ -6,7 +6,20 @@ import numpy as np
 from push_bench import Bench, true_contacts
 
 from contour.antenna import Sensor
-from contour.fit import BEND, LN_S, LN_TAN_ALPHA, NU, R_ALONG, ModelError, Prior, fit, prepare
+from contour.fit import (
+    BEND,
+    LN_S,
+    LN_TAN_ALPHA,
+    NU,
+    R_ALONG,
+    TAIL,
+    ModelError,
+    Prior,
+    expected_covariance,
+    fit,
+    prepare,
+    screen,
+)
 from contour.frames import wrap_angle
 from contour.machine import NoiseKey
 from contour.sensing import binned
@@ -143,9 +156,71 @@ def test_no_state_nearby_explains_the_readings_better(rng):
 
 
 def cost_of(data, prior: Prior, state: np.ndarray, bench: Bench) -> np.ndarray:
-    """The cost (n,) of given states: what a fit from there begins with."""
-    stay = Prior(mean=state, sigma=np.full_like(state, 1e-9))
-    held = fit(data, stay, state, bench.antenna, ModelError())
-    away = prior.mean - state
-    away[:, NU] = wrap_angle(away[:, NU])
-    return held.chi2 + np.sum((away / prior.sigma) ** 2, axis=1)
+    """The cost (n,) of given states."""
+    return screen(data, prior, state[:, None], bench.antenna, ModelError())[:, 0]
+
+
+def test_a_search_sees_the_cost_that_a_fit_ends_with(rng):
+    """The screened cost of the estimate is its own, up to what a trusted step may miss; elsewhere it is more."""
+    truth = mixed(20, rng)
+    bench = Bench(truth, sensor=Sensor())
+    data = pushed(bench, rng.normal(0.0, 0.05, 20), np.deg2rad(3.0))
+    state = true_state(truth)
+    prior = Prior(mean=state, sigma=np.tile(LOOSE, (20, 1)))
+    found = fit(data, prior, state + 0.01, bench.antenna, ModelError())
+    away = found.mean + 3.0 * np.array([found.sigma(parameter) for parameter in range(5)]).T
+    cost = screen(data, prior, np.stack((found.mean, away), axis=1), bench.antenna, ModelError())
+    convex = found.mean[:, R_ALONG] >= 0.0  # a search takes a negative R for none
+    assert convex.sum() > 10
+    assert np.allclose(cost[convex, 0], found.cost[convex], atol=0.5)
+    assert np.all(cost[:, 1] > cost[:, 0] + 1.0)
+
+
+def test_a_tangent_far_off_gives_way_to_the_readings(rng):
+    """A tangent 4 deg off that claims 0.4 deg: pushes across the cone tell better, and the estimate follows them."""
+    truth = mixed(30, rng)
+    bench = Bench(truth, sensor=Sensor())
+    data = pushed(bench, np.arctan(truth.friction) + np.deg2rad(5.0), np.deg2rad(2.0))
+    state = true_state(truth)
+    mean = state.copy()
+    mean[:, NU] += np.deg2rad(4.0)
+    prior = Prior(mean=mean, sigma=np.tile([0.5, np.deg2rad(0.4), 0.9, 0.4, 6.0], (30, 1)))
+    found = fit(data, prior, mean, bench.antenna, ModelError())
+    off = np.abs(wrap_angle(found.mean[:, NU] - state[:, NU]))
+    assert np.median(off) < np.deg2rad(0.5)
+    assert np.mean(off < 3.0 * found.sigma(NU)) > 0.85
+
+
+def test_a_prior_far_away_pulls_less_than_one_nearby():
+    """The normal's prior has Student's tails: its pull falls beyond the square root of its degrees of freedom."""
+    prior = Prior(mean=np.zeros((3, 5)), sigma=np.full((3, 5), 0.1))
+    states = np.zeros((3, 5))
+    states[:, NU] = [0.1, 0.1 * np.sqrt(TAIL), 1.0]
+    pull = prior.pull(states)
+    size = np.abs(pull.gradient[:, NU])
+    assert size[1] > size[0]
+    assert size[1] > size[2]
+    assert pull.firm[2, NU] == 0.0
+    step = 1e-6
+    there = states.copy()
+    there[:, NU] += step
+    # The cost is twice a potential, as a chi^2 is: its slope is minus twice the pull.
+    assert np.allclose((prior.pull(there).cost - pull.cost) / step, -2.0 * pull.gradient[:, NU], rtol=1e-4)
+
+
+def test_a_long_slide_counts_less_where_the_profile_bends():
+    """How the curvature goes on is not known: a push that slides far over a bent profile tells less of the normal than
+    one over a profile that may not bend otherwise.
+    """
+    truth = true_contacts(1, radius_across=0.01, distance=0.1)
+    bench = Bench(truth, sensor=Sensor())
+    data = pushed(bench, np.deg2rad(np.array([35.0])), np.deg2rad(3.0))
+    state = true_state(truth)
+    known = np.diag(1.0 / LOOSE**2)[None]
+    sigma = [
+        np.sqrt(
+            expected_covariance(data, state, known, bench.antenna, ModelError(bending=bending))[0, NU, NU]
+        )
+        for bending in (0.0, 0.5)
+    ]
+    assert sigma[1] > 1.2 * sigma[0]
