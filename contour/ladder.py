@@ -61,7 +61,7 @@ def choose(contact: TrueContact, eps: FloatArray, peak: FloatArray, tolerance: f
 
     The estimates bound what was measured against the exact rung on both strokes (tests/test_ladder.py): the edge
     forms leave out 3/8 u, the turn of the normal by the slide and friction's memory, which shows most on the way
-    back; the reduced rod leaves out second orders of u and of 1/q.
+    back; the reduced rod leaves out second orders of u and of 1/q. A tip has its own (:func:`_tip_error`).
     """
     depth = contact.distance * peak
     slide = slide_estimate(contact, eps, peak)
@@ -74,10 +74,30 @@ def choose(contact: TrueContact, eps: FloatArray, peak: FloatArray, tolerance: f
     q_inverse = np.minimum(depth * bend, 4.0)
     reach = np.tan(np.minimum(np.abs(eps), 1.4)) ** 2
     exact = 0.06 * u * u + 0.02 * u * contact.friction + np.where(outside, 0.012 * q_inverse**2 * reach, 0.0)
-    exact = np.where(contact.kind == Kind.TIP, 0.3 * (peak * np.tan(contact.tilt)) ** 2, exact)
+    exact = np.where(contact.kind == Kind.TIP, _tip_error(contact, eps, peak), exact)
     rung = np.where(edge <= tolerance, Rung.EDGE, Rung.REDUCED)
     rung = np.where((rung == Rung.REDUCED) & (exact > tolerance), Rung.ELASTICA, rung)
     return np.where(slide > contact.extent, Rung.PROFILE, rung).astype(np.int8)
+
+
+def _tip_error(contact: TrueContact, eps: FloatArray, peak: FloatArray) -> FloatArray:
+    """(n,) error of a tip's force on the reduced rod, over its largest.
+
+    Three things: a tip that runs round a body as sharp as the push is deep, where the lean adds to the curvature in the
+    sensing plane; one that leans away from the base, outside the cone but not far, which creeps under more friction
+    than it slides under and so goes in jerks; and the turn of the push, where friction along the lean turns round.
+    """
+    mu, tilt = contact.friction, np.tan(contact.tilt)
+    cone = mu / np.cos(contact.tilt)
+    pushed = np.tan(np.minimum(np.abs(eps), 1.4))
+    outside = pushed > 0.9 * cone
+    radius = np.where(contact.radius_across == 0.0, 1e-9, contact.radius_across)
+    bend = contact.distance / (radius * np.cos(contact.tilt)) + tilt
+    run = np.where(outside, 0.002 * np.clip(peak * bend, 0.0, 4.0) ** 3, 0.0)
+    grip = np.minimum(mu * np.abs(tilt), 0.99)
+    held = cone / np.sqrt(1.0 - grip * grip)
+    jerks = np.where(outside & (pushed < 1.7 * held) & (tilt < 0.0), 0.1 * grip * grip, 0.0)
+    return np.asarray(run + jerks + 0.005 * peak * mu * (tilt / (1.0 - grip)) ** 2)
 
 
 PROFILE_MARGIN = 1e-3

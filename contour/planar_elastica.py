@@ -51,23 +51,25 @@ def shape(bend: FloatArray, eta: FloatArray) -> Shape:
     pi)).
     """
     bend = np.maximum(bend, SMALLEST)
-    sin_eta, cos_eta = np.sin(eta), np.cos(eta)
-    length = np.zeros_like(bend)
-    lag = np.zeros_like(bend)
-    rise = np.zeros_like(bend)
-    for half_tau2, weight in zip(_HALF_TAU2, _WEIGHTS, strict=True):
-        a = bend * half_tau2
-        sin, cos = np.sin(a), np.cos(a)
-        g = sin_eta * cos
-        g += cos_eta * sin
-        g *= sin
-        g /= a
-        g = weight / np.sqrt(g)
-        length += g
-        g *= sin
-        lag += g * sin
-        g *= cos
-        rise += g
+    nodes = (slice(None), *([None] * bend.ndim))
+    a = _HALF_TAU2[nodes] * bend
+    sin, cos = np.sin(a), np.cos(a)
+    g = np.sin(eta) * cos
+    g += np.cos(eta) * sin
+    g *= sin
+    g /= a
+    np.sqrt(g, out=g)
+    np.divide(_WEIGHTS[nodes], g, out=g)
+    cos *= sin
+    cos *= g
+    sin *= sin
+    sin *= g
+    # Node by node: the order in which numpy adds along an axis depends on how many pushes there are.
+    length, lag, rise = g[0].copy(), sin[0].copy(), cos[0].copy()
+    for k in range(1, NODES):
+        length += g[k]
+        lag += sin[k]
+        rise += cos[k]
     lag *= -2.0
     lag += length  # the integral of g cos(2a)
     rise *= 2.0  # the integral of g sin(2a)

@@ -35,8 +35,8 @@ BoolArray = NDArray[np.bool_]
 
 MAX_LEAN = 1.4
 """Lean of the contact's normal out of the sensing plane beyond which the rod has left the body [rad]."""
-BEND_STEPS = 5
-"""Corrections of a tip contact's bend, each 1/5 of the bend squared of the one before."""
+ROUNDING = 1e-13
+"""Corrections of a tip contact's bend below this share of it are rounding."""
 
 
 class Contact(NamedTuple):
@@ -216,9 +216,15 @@ class TipBody:
         # The bend of a rod that bends little; its correction's limit is the same whatever it starts from.
         axial = np.cos(c.eta) / np.sin(c.eta)
         bend = 1.5 * wanted * (1.0 - wanted * (axial / 20.0 + (9.0 / 28.0) * wanted))
-        for _ in range(BEND_STEPS):
-            rod = shape(bend, c.eta)
-            bend = bend * wanted * rod.ahead / rod.aside
+        rod = shape(bend, c.eta)
+        once = bend * wanted * rod.ahead / rod.aside
+        rod = shape(once, c.eta)
+        twice = once * wanted * rod.ahead / rod.aside
+        # Each correction is 1/5 of the bend squared of the one before: the sum of those to come.
+        first, second = once - bend, twice - once
+        ratio = np.divide(second, first, out=np.zeros_like(first), where=np.abs(first) > ROUNDING * bend)
+        ratio = np.clip(ratio, -0.9, 0.9)
+        bend = twice + second * ratio / (1.0 - ratio)
         rod = shape(bend, c.eta)
         scale = ahead / rod.ahead
         length = scale * rod.length

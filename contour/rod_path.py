@@ -175,6 +175,8 @@ def _coulomb(
         )
         rate = x * rate_x + y * rate_y
         p = np.maximum(p + (norm / limit - 1.0) * norm2 / rate, 0.0)
+    # Where the body curves away faster than the rod follows there are roots beyond; what sticks, sticks.
+    p = np.where(np.hypot(*force) <= limit, 0.0, p)
     x, y, _ = _shifted(stiff, force, trace, det, p)
     return -p * x, -p * y
 

@@ -24,6 +24,7 @@ from contour.tip_rod import (
     direction,
     divisor,
     force,
+    held_pull,
     place,
     take,
 )
@@ -51,6 +52,10 @@ LENGTH_STEPS = 3
 
 SWAY = 4.0
 """Most change of p in the rod's length, over the step's share of theta: at 5.8 the tip would not slip."""
+
+
+SLIDES = 2.0
+"""Slip across over slip along from which on a tip counts as sliding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -286,12 +291,24 @@ def follow_tip(
     return TipPath(slipped_off=slipped, **fields)
 
 
+def _mobilised(
+    shown: FloatArray, pull: FloatArray, slope2: tuple[FloatArray, FloatArray], across: FloatArray
+) -> FloatArray:
+    """p of the step: friction along turns round no faster than the rod's length takes it up without a slip, unless the
+    tip slides ``across``, whose share of the slip that is.
+    """
+    held = held_pull(shown, *slope2)
+    most = np.where(np.isfinite(held) & (np.abs(across) < SLIDES), np.abs(held - shown), np.inf)
+    return shown + np.clip(pull - shown, -most, most)
+
+
 def _follow_rows(rows: Rows, thetas: FloatArray, out: dict[str, FloatArray], slipped: BoolArray) -> None:
     n = thetas.shape[1]
     zero = np.zeros(n)
     b = v = climb = slid = paid = rate = rate_v = eta = moved_before = theta_before = zero
     felt = -thetas[0] * rows.cos_eps * rows.sin_tilt / rows.cos_tilt
-    pull = felt
+    pull = shown = felt
+    slope2 = zero
     gone = np.zeros(n, dtype=np.bool_)
     free = np.flatnonzero(~rows.profile.held())
     held = free.size < n
@@ -348,7 +365,9 @@ def _follow_rows(rows: Rows, thetas: FloatArray, out: dict[str, FloatArray], sli
         rate, rate_v = (new_b - b) * turned, (p.v - v) * turned
         b, v = new_b, p.v
         out["delta"][step] = direction(rows, (sine, np.cos(theta)), b, v)
-        out["moment_angle"][step] = np.sqrt(p.slope2) / divisor(pull, p.slope2)
+        shown = pull if not step else _mobilised(shown, pull, (slope2, p.slope2), d_a / d_v)
+        slope2 = p.slope2
+        out["moment_angle"][step] = np.sqrt(slope2) / divisor(shown, slope2)
         out["parameter"][step] = b
         out["slide"][step] = rows.profile.arc(b)
         out["climb"][step] = climb

@@ -36,7 +36,9 @@ __all__ = [
     "direction",
     "divisor",
     "force",
+    "held_pull",
     "place",
+    "shrinkage",
     "take",
 ]
 
@@ -189,8 +191,22 @@ def base_turn(rows: Rows, sine: FloatArray, cosine: FloatArray, p: FloatArray) -
         -sine * rows.sin_eps,
         rows.cos_tilt * t_n - rows.sin_tilt * cosine,
         rows.cos_tilt * cosine + rows.sin_tilt * t_n,
-        0.2 - p * (6.0 / 175.0 + p * (0.035 + p * (0.0345 + 0.03 * p))),
+        shrinkage(p),
     )
+
+
+def shrinkage(p: FloatArray) -> FloatArray:
+    """Q(p, 0)."""
+    return 0.2 - p * (6.0 / 175.0 + p * (0.035 + p * (0.0345 + 0.03 * p)))
+
+
+def held_pull(p: FloatArray, before: FloatArray, now: FloatArray) -> FloatArray:
+    """p of a tip that has not slipped along since it was p and r^2 was ``before``: r^2 Q(p, 0) stays what it was."""
+    target = shrinkage(p) * before / now
+    for _ in range(2):
+        rate = 6.0 / 175.0 + p * (0.07 + p * (0.1035 + 0.12 * p))
+        p = p + (shrinkage(p) - target) / rate
+    return p
 
 
 def divisor(p: FloatArray, r2: FloatArray) -> FloatArray:
