@@ -93,7 +93,7 @@ def _tip_error(contact: TrueContact, eps: FloatArray, peak: FloatArray) -> Float
     outside = pushed > 0.9 * cone
     radius = np.where(contact.radius_across == 0.0, 1e-9, contact.radius_across)
     bend = contact.distance / (radius * np.cos(contact.tilt)) + tilt
-    run = np.where(outside, 0.002 * np.clip(peak * bend, 0.0, 4.0) ** 3, 0.0)
+    run = np.where(pushed > 0.75 * cone, 0.002 * np.clip(peak * bend, 0.0, 4.0) ** 3, 0.0)
     grip = np.minimum(mu * np.abs(tilt), 0.99)
     held = cone / np.sqrt(1.0 - grip * grip)
     jerks = np.where(outside & (pushed < 1.7 * held) & (tilt < 0.0), 0.1 * grip * grip, 0.0)
