@@ -51,7 +51,7 @@ LENGTH_STEPS = 3
 
 
 SWAY = 4.0
-"""Most change of p in the rod's length, over the step's share of theta: at 5.8 the tip would not slip."""
+"""Most change of p in the rod's length, over the step's share of theta: at some 12 the tip would not slip."""
 
 
 SLIDES = 2.0
