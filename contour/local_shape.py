@@ -1,6 +1,6 @@
 """What the surface is like where a beam touches it: normal, kind of contact, curvature along and across.
 
-Between creases the mesh stands for the smooth surface it samples, on creases for the crease. Directions at a
+Between creases the mesh stands for the smooth surface it samples, on creases for the smooth curve. Directions at a
 side contact: d along the beam, n the normal square to it, t = d x n across. Seen along d the body has a
 silhouette in the plane of n and t; with the shape operator [[a, b], [b, c]] in (d, t) its curvature is c -
 b^2 / a, not c.
@@ -14,6 +14,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from contour.creases import Creases
 from contour.curvature import SmoothSurface
 from contour.first_contact import Touches
 from contour.motions import Motions
@@ -87,9 +88,9 @@ class FirstContact:
     curvature_across: FloatArray
     """Of the silhouette seen along the beam (n,) [1/m]; inf where a crease runs along the beam."""
     lift: FloatArray
-    """How far the smooth surface stands above the mesh along the normal (n,) [m]; 0 but for SIDE."""
+    """How far the smooth surface, or crease, stands above the mesh along the normal (n,) [m]; 0 for ends."""
     edge_direction: FloatArray
-    """Unit, along the touched crease (n, 3); zero where there is none."""
+    """Unit tangent of the touched crease (n, 3); zero where there is none."""
     edge_interval: FloatArray
     """Offsets along t = direction x normal at which the crease's segment ends, the lesser first (n, 2) [m].
     """
@@ -117,9 +118,26 @@ class _Rows:
     radius: float
 
 
+@dataclass(slots=True)
+class _Curve:
+    """The creases that are felt; zeros in other rows."""
+
+    felt: BoolArray  # (k,), not those at which a line on a surface ends
+    tangent: FloatArray  # unit (k, 3)
+    bend: FloatArray  # curvature vector (k, 3)
+
+    @classmethod
+    def on(cls, creases: Creases, edge: IntArray, point: FloatArray, felt: BoolArray) -> _Curve:
+        """By the points (k, 3) at which the mesh is touched."""
+        tangent, bend = np.zeros_like(point), np.zeros_like(point)
+        tangent[felt], bend[felt] = creases.at(edge[felt], point[felt])
+        return cls(felt=felt.copy(), tangent=tangent, bend=bend)
+
+
 def describe(
     topology: Topology,
     surface: SmoothSurface,
+    creases: Creases,
     rays: RayCaster,
     body: IntArray,
     motions: Motions,
@@ -132,6 +150,7 @@ def describe(
     Args:
         topology: of the mesh, recentred.
         surface: the smooth surface it stands for.
+        creases: the curves that its sharp edges stand for.
         rays: over its faces.
         body: body of each face (f,).
         motions: of the beams, recentred.
@@ -156,7 +175,8 @@ def describe(
     normal, smooth = _normals(topology, surface, rows, barycentric, edge, crease & ~ends_line, point)
     spot = point.copy() if radius > 0.0 else rows.axis.copy()
     ends = (rows.where == Where.TIP) | (rows.where == Where.BASE)
-    bent = np.nonzero(~(crease | rows.line | contact.touching[at]) & (rows.where < Where.TIP))[0]
+    moved = (rows.where < Where.TIP) & ~contact.touching[at]
+    bent = np.nonzero(moved & ~(crease | rows.line))[0]
     found = tangencies(
         topology, surface, rays, rows.face[bent], barycentric[bent], smooth[bent], _beams(rows, bent)
     )
@@ -166,6 +186,13 @@ def describe(
     spot[bent] = rows.axis[bent] + found.step[:, None] * rows.along[bent] - radius * normal[bent]
     rows.distance[bent] += found.step
     rows.face[bent], barycentric[bent] = found.face, found.barycentric
+    curve = _Curve.on(creases, edge, point, crease & ~ends)
+    curve.felt &= ~ends_line
+    on = np.nonzero(curve.felt & moved & ~rows.line & ~_runs_along(topology, rows, edge))[0]
+    touch = creases.touched(edge[on], point[on], normal[on], _beams(rows, on))
+    normal[on] = smooth[on] = touch.normal
+    contact.lift[at[on]] = -touch.back * dot(rows.motion[on], normal[on])
+    curve.tangent[on], curve.bend[on] = touch.tangent, touch.curve
     contact.point[at] = spot + centre
     contact.distance[at] = rows.distance
     contact.face[at], contact.body[at] = rows.face, body[rows.face]
@@ -174,8 +201,8 @@ def describe(
     kind = np.where(crease | rows.line, TouchKind.EDGE, TouchKind.SIDE)
     kind = np.where(rows.where == Where.TIP, TouchKind.TIP, kind)
     contact.kind[at] = np.where(rows.where == Where.BASE, TouchKind.BASE, kind)
-    _curvatures(contact, topology, surface, rows, barycentric, point, edge, crease & ~ends & ~ends_line)
-    _creases(contact, topology, at, point, edge, crease & ~ends)
+    _curvatures(contact, topology, surface, rows, barycentric, edge, curve)
+    _creases(contact, topology, at, point, edge, curve, crease & ~ends)
     return contact
 
 
@@ -384,9 +411,8 @@ def _curvatures(
     surface: SmoothSurface,
     rows: _Rows,
     barycentric: FloatArray,
-    point: FloatArray,
     edge: IntArray,
-    crease: BoolArray,
+    curve: _Curve,
 ) -> None:
     at = rows.index
     normal = contact.normal[at]
@@ -405,24 +431,13 @@ def _curvatures(
     b = np.einsum("ki,kij,kj->k", first, shape, second)
     c = np.einsum("ki,kij,kj->k", second, shape, second)
     across = np.where(by_end, c, c - b * b * a / (a * a + FLAT * FLAT))
-    start, stop = topology.vertices[topology.edge_vertices[edge]].transpose(1, 0, 2)
-    side = unit(stop - start)
-    cosine = dot(side, rows.along)
+    cosine = dot(curve.tangent, rows.along)
     square = np.maximum(1.0 - cosine**2, PARALLEL**2)
-    share = _share(point, start, stop)
-    curve = topology.curve[topology.edge_vertices[edge]]
-    bend = (1.0 - share)[:, None] * curve[:, 0] + share[:, None] * curve[:, 1]
-    turn = 0.0 - dot(bend, normal)
+    turn = 0.0 - dot(curve.bend, normal)
     along_beam = _runs_along(topology, rows, edge)
-    bluff = np.where(crease & along_beam, turn, np.where(crease, np.inf, a))
+    bluff = np.where(curve.felt & along_beam, turn, np.where(curve.felt, np.inf, a))
     contact.curvature_along[at] = np.where(rows.line, np.inf, bluff)
-    contact.curvature_across[at] = np.where(crease, np.where(along_beam, np.inf, turn / square), across)
-
-
-def _share(point: FloatArray, start: FloatArray, stop: FloatArray) -> FloatArray:
-    side = stop - start
-    share = dot(point - start, side) / dot(side, side)
-    return np.asarray(np.clip(share, 0.0, 1.0))
+    contact.curvature_across[at] = np.where(curve.felt, np.where(along_beam, np.inf, turn / square), across)
 
 
 def _creases(
@@ -431,11 +446,12 @@ def _creases(
     at: IntArray,
     point: FloatArray,
     edge: IntArray,
+    curve: _Curve,
     crease: BoolArray,
 ) -> None:
     at, point, edge = at[crease], point[crease], edge[crease]
     ends = topology.vertices[topology.edge_vertices[edge]]
-    contact.edge_direction[at] = unit(ends[:, 1] - ends[:, 0])
+    contact.edge_direction[at] = curve.tangent[crease]
     contact.dihedral[at] = topology.dihedral[edge]
     across = cross(contact.direction[at], contact.normal[at])
     contact.edge_interval[at] = np.sort(np.einsum("kej,kj->ke", ends - point[:, None], across), axis=1)

@@ -15,6 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
+from contour.creases import Creases
 from contour.curvature import SmoothSurface
 from contour.errors import UsageError
 from contour.first_contact import FirstContactSolver
@@ -73,6 +74,8 @@ class MeshEnvironment:
         """Edges, creases and patches; its coordinates are relative to the middle of the bounds."""
         self.surface = SmoothSurface(self.topology, smoothing=smoothing)
         """The smooth surface that the mesh samples."""
+        self.creases = Creases(self.topology, self.surface)
+        """The smooth curves that its creases sample."""
         self._solver = FirstContactSolver(corners - self._centre)
 
     @classmethod
@@ -127,7 +130,15 @@ class MeshEnvironment:
         motions = self._motions(origins, directions, length, translation, rotation)
         touches = self._solver.solve(motions, radius)
         return describe(
-            self.topology, self.surface, self._solver.rays, self.body, motions, touches, self._centre, radius
+            self.topology,
+            self.surface,
+            self.creases,
+            self._solver.rays,
+            self.body,
+            motions,
+            touches,
+            self._centre,
+            radius,
         )
 
     def segments_hit(self, starts: ArrayLike, ends: ArrayLike) -> BoolArray:
@@ -153,9 +164,9 @@ class MeshEnvironment:
         """The silhouette seen along the beam around n contacts: heights (n, m) [m] along the normal.
 
         The beam, its direction kept, is laid on the bodies at lateral offsets along t = direction x normal.
-        The height is that of its axis above the contact, positive along the normal; between creases it is
-        that of the smooth surface that the mesh samples. It is -inf where nothing is met within the depth,
-        and the rise where something already stands there.
+        The height is that of its axis above the contact, positive along the normal, on the smooth surface and
+        the smooth creases that the mesh samples. It is -inf where nothing is met within the depth, and the
+        rise where something already stands there.
 
         Args:
             points: on the beam's axis at the contacts (n, 3) [m].

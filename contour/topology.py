@@ -28,8 +28,6 @@ SHARP_AMONG_FLAT = np.deg2rad(30.0)
 MUCH_LESS = 3.0
 """By this factor: a fixed angle alone would call every edge of a coarse cylinder sharp."""
 _KEY = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0x27D4EB2F165667C5], np.uint64)
-CURVE_TURN = np.deg2rad(50.0)
-"""A chain of sharp edges that turns more than this at a vertex has a corner there [rad]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,8 +60,6 @@ class Topology:
     """Label of the smooth patch that each face belongs to: those joined without crossing a crease (f,)."""
     crease_at: IntArray
     """One of the sharp edges at each welded vertex (v,), -1 where there is none."""
-    curve: FloatArray
-    """Curvature vector of the crease through each welded vertex (v, 3) [1/m], else and at corners zero."""
 
 
 def build_topology(vertices: FloatArray, faces: IntArray, body: IntArray) -> Topology:
@@ -94,7 +90,6 @@ def build_topology(vertices: FloatArray, faces: IntArray, body: IntArray) -> Top
         patch_count=patch_count,
         face_patch=_joined(edge_faces[~sharp], len(faces)),
         crease_at=crease_at,
-        curve=_crease_curvature(welded, edge_vertices[sharp]),
     )
 
 
@@ -194,23 +189,3 @@ def _joined(pairs: IntArray, count: int) -> IntArray:
     ones = np.ones(len(pairs), dtype=np.int8)
     graph = coo_array((ones, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     return connected_components(graph, directed=False)[1].astype(np.int64)
-
-
-def _crease_curvature(vertices: FloatArray, creases: IntArray) -> FloatArray:
-    """Turn per length of chains of sharp edges, where exactly two of them meet without a corner."""
-    curve = np.zeros((len(vertices), 3))
-    at = creases.reshape(-1)
-    other = creases[:, ::-1].reshape(-1)
-    order = np.argsort(at, kind="stable")
-    vertex, count = np.unique(at, return_counts=True)
-    head = np.cumsum(count) - count
-    two = count == 2
-    vertex, head = vertex[two], head[two]
-    back = vertices[other[order[head]]] - vertices[vertex]
-    ahead = vertices[other[order[head + 1]]] - vertices[vertex]
-    back_length, ahead_length = np.linalg.norm(back, axis=1), np.linalg.norm(ahead, axis=1)
-    back, ahead = back / back_length[:, None], ahead / ahead_length[:, None]
-    gentle = np.einsum("ij,ij->i", back, ahead) < -np.cos(CURVE_TURN)
-    turn = 2.0 * (back + ahead) / (back_length + ahead_length)[:, None]
-    curve[vertex] = np.where(gentle[:, None], turn, 0.0)
-    return curve

@@ -171,16 +171,6 @@ def test_open_rims_are_creases():
     np.testing.assert_allclose(topology.dihedral[topology.sharp], np.pi)
 
 
-def test_rims_know_their_own_curvature():
-    """The crease round a cylinder bends with its radius, towards the axis; those of a box do not."""
-    topology = topology_of(trimesh.creation.cylinder(radius=2.0, height=3.0, sections=64))
-    rim = np.hypot(*topology.vertices[:, :2].T) > 1.0
-    toward = -topology.vertices[rim, :2] / 2.0
-    # A regular polygon turns by 2 sin(pi / k) over a side of 2 R sin(pi / k): exactly 1 / R.
-    np.testing.assert_allclose(topology.curve[rim, :2], toward / 2.0, atol=1e-9)
-    assert np.abs(topology_of(trimesh.creation.box()).curve).max() < 1e-12
-
-
 def test_a_wide_flat_keeps_its_normal_beside_a_fillet():
     """Where a flat of 20 meets facets of 0.35, its normal tilts by less than a tenth of a facet's turn."""
     angles = np.deg2rad(np.arange(0, 91, 4.5))
