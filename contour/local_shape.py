@@ -176,9 +176,16 @@ def describe(
     spot = point.copy() if radius > 0.0 else rows.axis.copy()
     ends = (rows.where == Where.TIP) | (rows.where == Where.BASE)
     moved = (rows.where < Where.TIP) & ~contact.touching[at]
-    bent = np.nonzero(moved & ~(crease | rows.line))[0]
+    bent = np.nonzero(moved & ~(crease & ~ends_line))[0]
     found = tangencies(
-        topology, surface, rays, rows.face[bent], barycentric[bent], smooth[bent], _beams(rows, bent)
+        topology,
+        surface,
+        rays,
+        rows.face[bent],
+        barycentric[bent],
+        smooth[bent],
+        _beams(rows, bent),
+        fixed=rows.line[bent],
     )
     smooth[bent] = found.normal
     normal[bent] = unit(found.normal - dot(found.normal, rows.along[bent])[:, None] * rows.along[bent])

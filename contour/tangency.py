@@ -81,18 +81,21 @@ def tangencies(
     barycentric: FloatArray,
     facing: FloatArray,
     beams: Beams,
+    *,
+    fixed: BoolArray,
 ) -> Tangency:
     """The tangent points by k mesh contacts on faces (k,) at barycentric coordinates (k, 3).
 
     Where the surface is flat along the beam, or ends at a crease before it is square to the beam, the step
-    stays zero. ``facing`` are normals of the surface on the beams' side (k, 3).
+    stays zero; so it does for ``fixed`` (k,), beams that lie along the surface. ``facing`` are normals of the
+    surface on the beams' side (k, 3).
     """
     first = _Paraboloid(topology, surface, face, barycentric, facing, beams.radius)
     back, normal = first.resting(beams)
     step, at, where = np.zeros(len(face)), face.copy(), barycentric.copy()
     rise = np.linalg.norm(np.ptp(topology.vertices[topology.corners[face]], axis=1), axis=1)
     x, h, square, told = first.touching(beams)
-    rows = np.nonzero(told & (np.abs(h) < rise))[0]
+    rows = np.nonzero(told & ~fixed & (np.abs(h) < rise))[0]
     x, h, square = x[rows], h[rows], square[rows]
     some = beams.rows(rows)
     place = some.axis + x[:, None] * some.along - h[:, None] * some.motion - beams.radius * square

@@ -211,6 +211,29 @@ def test_silhouettes_over_a_polygonal_rim_have_the_slopes_of_the_circle(sections
         assert bend == pytest.approx(exact, rel=step, abs=0.2)
 
 
+@pytest.mark.parametrize("radius", [0.0, 0.4e-3])
+@pytest.mark.parametrize("sections", [24, 60, 200])
+def test_silhouettes_along_a_faceted_wall_have_the_slopes_of_the_circle(sections, radius):
+    """Beams along the generators lie on lines; the wall's profile is round all the same."""
+    turn = np.linspace(0.0, 1.0, 30)
+    normal = np.stack([np.cos(turn), np.sin(turn), np.zeros(30)], axis=1)
+    offsets = np.linspace(-6e-3, 6e-3, 41)
+    ball = 0.05 + radius
+    heights = drum(sections).profile(
+        ball * normal + 0.5 * HEIGHT * Z,
+        -Z[None].repeat(30, 0),
+        np.full(30, 0.1),
+        normal,
+        LENGTH,
+        offsets,
+        radius=radius,
+    )
+    off = heights - (np.sqrt(ball**2 - offsets**2) - ball)
+    step = np.pi / sections
+    assert np.abs(off).max() < 0.2 * 0.05 * step**4 + 1e-9
+    assert np.abs(np.diff(off, axis=1) / np.diff(offsets)).max() < 0.3 * step**2
+
+
 def test_silhouette_keeps_the_kink_at_a_corner_of_the_rim():
     """Over the hexagonal prism's rim the slope jumps at its corner, and is constant on both sides."""
     direction = np.array([[-np.sqrt(0.5), 0.0, np.sqrt(0.5)]])
