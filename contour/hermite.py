@@ -42,7 +42,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 CHUNK = 2_000_000
-"""Pairs of points that are worked on at once: 16 MB an array."""
+"""Numbers that are worked on at once: 16 MB an array."""
+CACHED = 100_000
+"""The same where little is done with each: arrays that stay in the processor's cache are five times as fast."""
 CONSTANT = 4.0
 """Variance of the field's unknown mean, in R^3: it may be anything."""
 REACH = 2.0
@@ -59,7 +61,7 @@ AROUND = 12
 """Those of them that tell how rough the surface is at a point."""
 ASKED = 5000
 """Points at which it is worked out; the others take that of the nearest."""
-SPREAD = 600
+SPREAD = 800
 """Points that the wide process of :func:`fit_layers` goes through."""
 STEP = 4
 """Points of a layer of corrections over those of the one before."""
@@ -121,7 +123,7 @@ class Wide:
         field = np.zeros(len(x))
         offset = np.einsum("nj,nj->n", self.centres, self.slopes)
         constant = CONSTANT * REACH**3 * float(self.values.sum())
-        for rows in _chunks(len(x), len(self.centres)):
+        for rows in _chunks(len(x), len(self.centres), CACHED):
             r = _distances(x[rows], self.centres)
             k = (2.0 * r - 3.0 * REACH) * r * r + REACH**3
             r -= REACH
@@ -135,7 +137,7 @@ class Wide:
         x = (points - self.middle) / self.length
         out = np.zeros_like(x)
         offset = np.einsum("nj,nj->n", self.centres, self.slopes)
-        for rows in _chunks(len(x), len(self.centres)):
+        for rows in _chunks(len(x), len(self.centres), CACHED):
             r = _distances(x[rows], self.centres)
             g = 6.0 * (r - REACH)
             along = x[rows] @ self.slopes.T - offset
@@ -417,7 +419,7 @@ def _distances(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.sqrt(np.maximum(squared, 0.0, out=squared), out=squared)
 
 
-def _chunks(rows: int, columns: int) -> list[slice]:
+def _chunks(rows: int, columns: int, numbers: int = CHUNK) -> list[slice]:
     """Slices of ``rows`` rows with ``columns`` numbers each, to work on at once."""
-    size = max(1, CHUNK // max(columns, 1))
+    size = max(1, numbers // max(columns, 1))
     return [slice(first, min(first + size, rows)) for first in range(0, rows, size)]

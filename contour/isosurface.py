@@ -84,8 +84,6 @@ def triangles(grid: Grid) -> Triangles:
     image = pyvista.ImageData(dimensions=grid.values.shape, spacing=[grid.spacing] * 3, origin=grid.origin)
     image["field"] = grid.values.ravel(order="F")
     surface = image.contour([0.0], scalars="field", method="flying_edges", compute_normals=False)
-    if surface.n_cells == 0:
-        return Triangles(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
     surface = surface.clean(tolerance=0.0)  # VTK winds faces towards lower values
     vertices = np.array(surface.points, dtype=np.float64)
     faces = np.array(surface.faces, dtype=np.int64).reshape(-1, 4)[:, :0:-1]

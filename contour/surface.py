@@ -34,7 +34,7 @@ METHODS = ("auto", "hermite", "layers")
 their number. layers: one through a spread of them, corrected by sparse ones through the rest."""
 MINIMUM = 20
 """Points that a surface needs at least."""
-GLOBAL = 700
+GLOBAL = 1000
 """Points up to which ``auto`` takes ``hermite``."""
 MOST_GLOBAL = 2000
 """Points up to which ``hermite`` works: 0.5 GB and the better part of a minute."""
