@@ -2,7 +2,7 @@
 
 A mesh only samples its shape. Where the shape is known in closed form (:mod:`contour.shapes`) its normal at
 the contact is the truth, not the mesh's: facets and interpolation then count as errors. At sharp edges the
-normal of a contact is that of the pair beam and edge, which the mesh has exactly.
+normal of a contact is square to beam and edge, whose tangent is the shape's: of a rim the mesh has a polygon only.
 """
 
 from __future__ import annotations
@@ -32,6 +32,11 @@ INTO_LINE = 1e-3
 NEAR = 0.2e-3
 """Contacts nearer to a sharp edge count as on it: the mesh's facets stand off the shape by this much [m]."""
 
+CLEAR = np.sin(np.deg2rad(3.0))
+"""Sine of the angle between beam and edge from which on their normal means something."""
+SAME_EDGE = np.cos(np.deg2rad(5.0))
+"""Least cosine between that normal and the mesh's: near a vertex the nearest edge may not be the touched one."""
+
 
 def _square_to_beam(surface: Surface, beam: FloatArray) -> FloatArray:
     """Normals (n, 3) where the smooth surface, not its facets, is touched by the side of ``beam`` (n, 3).
@@ -48,6 +53,21 @@ def _square_to_beam(surface: Surface, beam: FloatArray) -> FloatArray:
     normal = surface.normal + shift[:, None] * turned
     normal -= np.sum(normal * beam, axis=1, keepdims=True) * beam
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def _square_to_edge(surface: Surface, beam: FloatArray, normal: FloatArray) -> FloatArray:
+    """Normals (n, 3) square to beams (n, 3) and edges, on the side of the mesh's ``normal`` (n, 3).
+
+    Where the edge beside the contact is not the one that the mesh was touched at, the mesh's stays.
+    """
+    if surface.edge_tangent is None:
+        return normal
+    square = np.cross(beam, surface.edge_tangent)
+    sine = np.linalg.norm(square, axis=1)
+    square /= np.where(sine > CLEAR, sine, 1.0)[:, None]
+    cosine = np.sum(square * normal, axis=1)
+    known = (sine > CLEAR) & (np.abs(cosine) > SAME_EDGE)
+    return np.where(known[:, None], square * np.sign(cosine)[:, None], normal)
 
 
 def analytic_truth(
@@ -68,12 +88,14 @@ def analytic_truth(
     smooth = np.where(sideways[:, None], _square_to_beam(surface, rotation[:, :, 1]), surface.normal)
     region = shape.region(looked_up, within=NEAR)
     known = region != Region.EDGE
-    normal = np.where(known[:, None], smooth, truth.normal)
+    at_edge = (~known & (truth.kind == Kind.EDGE))[:, None]
+    edge = np.where(at_edge, _square_to_edge(surface, rotation[:, :, 1], truth.normal), truth.normal)
+    normal = np.where(known[:, None], smooth, edge)
     point = np.where((known & ~line)[:, None], surface.point + placement, truth.point)
     return replace(
         truth,
         normal=normal,
         point=point,
-        outward=np.where(known, plane_angle(normal, rotation), truth.outward),
+        outward=np.where(known | at_edge[:, 0], plane_angle(normal, rotation), truth.outward),
         region=np.where(truth.kind == Kind.TIP, np.int8(TIP), region).astype(np.int8),
     )

@@ -81,16 +81,56 @@ def test_the_truth_follows_the_copy_of_the_shape():
 
 
 def test_on_an_edge_the_normal_of_beam_and_edge_is_the_truth():
-    """The closest point of a box has no normal at its edge: the mesh's is kept."""
+    """The closest point of a box has no normal at its edge: it is square to beam and edge, if that was the edge."""
     corner = np.abs(shapes.load("box").mesh().vertices).max(axis=0)
-    point = np.array([[corner[0], corner[1], 0.01]])
-    normal = np.array([[np.cos(0.3), np.sin(0.3), 0.0]])
-    rotation = frames(np.array([[-np.sin(0.3), np.cos(0.3), 0.2]]), np.array([0.0, 0.0, 1.0]))
-    mesh = true_contacts(1, kind=Kind.EDGE, point=point, normal=normal, outward=0.123)
-    truth = analytic_truth(mesh, rotation, shapes.load("box"), np.zeros((1, 3)))
-    assert truth.region[0] == Region.EDGE
-    assert truth.outward[0] == 0.123
-    np.testing.assert_array_equal(truth.normal, normal)
+    point = np.tile([corner[0], corner[1], 0.01], (3, 1))
+    turn = 0.3 + np.deg2rad([0.0, 2.0, 20.0])  # the mesh's; the last one is that of another edge
+    normal = np.stack([np.cos(turn), np.sin(turn), np.zeros(3)], axis=1)
+    rotation = frames(np.tile([-np.sin(0.3), np.cos(0.3), 0.2], (3, 1)), np.array([0.0, 0.0, 1.0]))
+    mesh = true_contacts(3, kind=Kind.EDGE, point=point, normal=normal, outward=plane_angle(normal, rotation))
+    truth = analytic_truth(mesh, rotation, shapes.load("box"), np.zeros((3, 3)))
+    assert (truth.region == Region.EDGE).all()
+    exact = [np.cos(0.3), np.sin(0.3), 0.0]
+    np.testing.assert_allclose(truth.normal[:2], [exact, exact], atol=1e-12)
+    np.testing.assert_allclose(wrap_angle(truth.outward[:2]), 0.0, atol=1e-12)
+    np.testing.assert_array_equal(truth.normal[2], normal[2])
+    assert truth.outward[2] == pytest.approx(mesh.outward[2])
+
+
+@pytest.mark.parametrize(
+    "name,centre,axis,size",
+    [
+        ("rod12", (0.0, 0.0, 0.160), (0.0, 0.0, 1.0), 0.012),
+        ("gear", (0.0, 0.0, 0.028), (0.0, 0.0, 1.0), 0.014),
+        ("bracket", (0.020, 0.070, 0.010), (0.0, 0.0, 1.0), 0.008),
+        ("bracket", (0.060, 0.010, 0.070), (0.0, 1.0, 0.0), 0.012),
+    ],
+)
+def test_on_a_rim_the_normal_is_that_of_the_circle(name, centre, axis, size, rng):
+    """Whatever side of a polygon the mesh has there: the circle's tangent is known."""
+    n = 40
+    first = np.array([1.0, 0.0, 0.0])
+    second = np.cross(axis, first)
+    turn = rng.uniform(0.0, 2.0 * np.pi, (n, 1))
+    point = centre + size * (np.cos(turn) * first + np.sin(turn) * second)
+    beam = rng.normal(size=(n, 3))
+    rotation = frames(beam, np.array([0.3, 0.2, 1.0]))
+    normals = []
+    for off in (0.0, np.deg2rad(1.5)):  # the circle, and a side of a polygon
+        tangent = -np.sin(turn + off) * first + np.cos(turn + off) * second
+        square = np.cross(rotation[:, :, 1], tangent)
+        normals.append(square / np.linalg.norm(square, axis=1, keepdims=True))
+    mesh = true_contacts(
+        n, kind=Kind.EDGE, point=point, normal=normals[1], outward=plane_angle(normals[1], rotation)
+    )
+    truth = analytic_truth(mesh, rotation, shapes.load(name), np.zeros((n, 3)))
+    assert (truth.region == Region.EDGE).all()
+    steep = np.sum(normals[0] * normals[1], axis=1) > np.cos(np.deg2rad(4.0))
+    assert steep.sum() > 20
+    np.testing.assert_allclose(truth.normal[steep], normals[0][steep], atol=1e-9)
+    np.testing.assert_allclose(
+        wrap_angle(truth.outward - plane_angle(normals[0], rotation))[steep], 0.0, atol=1e-9
+    )
 
 
 def test_a_line_contact_belongs_to_the_face_it_lies_on():

@@ -65,6 +65,8 @@ class Surface:
     """(n, 2) 1/m, normal curvatures along them, positive where the solid is convex."""
     edge_distance: FloatArray
     """(n,) m, from the closest point to the nearest sharp edge, inf where there is none."""
+    edge_tangent: FloatArray | None = None
+    """(n, 3) unit tangent of the edge beside the closest point, either way; None if the shape has no edges."""
 
 
 class TriangleMesh(NamedTuple):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from contour.shapes.base import TriangleMesh
 
-__all__ = ["geodesic_sphere", "grid_patch", "oriented", "surface_nets", "weld"]
+__all__ = ["geodesic_sphere", "grid_patch", "oriented", "ring_strip", "surface_nets", "weld"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -26,6 +26,33 @@ def grid_patch(grid: FloatArray) -> TriangleMesh:
     lower = np.stack((a, b, c), axis=-1).reshape(-1, 3)
     upper = np.stack((a, c, d), axis=-1).reshape(-1, 3)
     return TriangleMesh(grid.reshape(-1, 3), np.concatenate((lower, upper)))
+
+
+def ring_strip(inner: FloatArray, outer: FloatArray) -> TriangleMesh:
+    """The flat strip (z = 0) between two loops (m, 2) and (n, 2) about the origin, of any two numbers of points.
+
+    Both run counter-clockwise, their angles rising all the way, and start near each other.
+    """
+    m, n = len(inner), len(outer)
+    step = np.arctan2(inner[0, 1], inner[0, 0])
+    turned = []
+    for loop in (inner, outer):
+        angle = np.arctan2(loop[:, 1], loop[:, 0]) - step
+        angle[0] -= 2.0 * np.pi * np.round(angle[0] / (2.0 * np.pi))
+        angle = np.unwrap(np.append(angle, angle[0] + 2.0 * np.pi))
+        turned.append(0.5 * (angle[:-1] + angle[1:]))
+    # Each side is joined to the point of the other loop that is reached by then.
+    i, j = np.arange(m), np.arange(n)
+    to_outer = np.searchsorted(turned[1], turned[0], side="right") % n
+    to_inner = np.searchsorted(turned[0], turned[1], side="left") % m
+    faces = np.concatenate(
+        (
+            np.stack(((i + 1) % m, i, m + to_outer), axis=1),
+            np.stack((m + j, m + (j + 1) % n, to_inner), axis=1),
+        )
+    )
+    points = np.concatenate((inner, outer))
+    return TriangleMesh(np.column_stack((points, np.zeros(m + n))), faces)
 
 
 def weld(patches: Sequence[TriangleMesh]) -> TriangleMesh:

@@ -166,7 +166,9 @@ class Path:
         angle = zero + side * turned
         return np.asarray(self.centre + radius[:, None] * np.stack((np.cos(angle), np.sin(angle)), axis=-1))
 
-    def points_of(self, tolerance: float, longest: float, turn: float, *, closed: bool) -> FloatArray:
+    def points_of(
+        self, tolerance: float, longest: float, turn: float, *, closed: bool, shortest: float = 0.0
+    ) -> FloatArray:
         """Points (m, 2) along the path, close enough for a smooth mesh.
 
         Args:
@@ -174,6 +176,7 @@ class Path:
             longest: m, longest chord.
             turn: rad, largest angle between neighbouring chords.
             closed: whether the path is; then its first point is not repeated.
+            shortest: m, chords of arcs are not made shorter than this for the sake of the rest.
         """
         parts = []
         for a, b, bend, centre, sweep in zip(
@@ -185,6 +188,7 @@ class Path:
                 continue
             radius = 1.0 / abs(bend)
             step = min(turn, longest / radius, 2.0 * np.arccos(1.0 - tolerance / radius))
+            step = max(step, shortest / radius)
             count = max(2, int(np.ceil(sweep / step)))
             zero = np.arctan2(a[1] - centre[1], a[0] - centre[0])
             angle = zero + np.sign(bend) * np.linspace(0.0, sweep, count, endpoint=False)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contour.shapes.base import Surface, TriangleMesh
-from contour.shapes.meshing import grid_patch, oriented, weld
+from contour.shapes.meshing import grid_patch, oriented, ring_strip, weld
 from contour.shapes.path import Path
 
 __all__ = ["CHORD", "LONGEST", "Bore", "Box", "Bracket", "Extruded", "Revolved"]
@@ -21,14 +21,28 @@ LONGEST = 5e-3
 """Longest side of a mesh's face along a line [m]."""
 _STEP = np.deg2rad(10.0)
 """Largest angle between neighbouring faces of a round part, well below that of a sharp edge."""
+_RIM = np.deg2rad(0.75)
+"""Largest angle between neighbouring sides of a round crease."""
+_SHORTEST = 25e-6
+"""Sides of round creases are not made shorter than this [m]."""
+_RINGED = 0.95
+"""Part of the way from a bore to the outline's nearest point that is meshed in rings."""
 _ON_AXIS = 1e-9
 """Nearer than this to the axis of revolution, directions around it mean nothing [m]."""
 
 
-def _around(radius: float) -> FloatArray:
-    """Angles of a full turn, both ends included, that keep the chords of a circle within :data:`CHORD`."""
-    count = int(np.ceil(2.0 * np.pi / min(_STEP, 2.0 * np.arccos(1.0 - CHORD / radius))))
+def _around(radius: float, step: float) -> FloatArray:
+    """Angles of a full turn, both ends included, no farther apart than ``step`` [rad].
+
+    They keep the chords of a circle within :data:`CHORD`.
+    """
+    count = int(np.ceil(2.0 * np.pi / min(step, 2.0 * np.arccos(1.0 - CHORD / radius)) - 1e-9))
     return np.linspace(0.0, 2.0 * np.pi, count + 1)
+
+
+def _flat(grid: FloatArray) -> TriangleMesh:
+    """A (rows, columns, 2) grid at z = 0."""
+    return grid_patch(np.concatenate((grid, np.zeros((*grid.shape[:2], 1))), axis=2))
 
 
 def _closed_ring(points: FloatArray) -> FloatArray:
@@ -65,6 +79,7 @@ class Revolved:
             axes=np.stack((meridian, about), axis=1),
             curvatures=np.stack((near.curvature, around), axis=1),
             edge_distance=near.corner,
+            edge_tangent=about if len(self.profile.corners) else None,
         )
 
     def mesh(self) -> TriangleMesh:
@@ -72,7 +87,7 @@ class Revolved:
         section = self.profile.points_of(CHORD, LONGEST, _STEP, closed=self.closed)
         if self.closed:
             section = _closed_ring(section)
-        angle = _around(float(np.max(section[:, 0])))
+        angle = _around(float(np.max(section[:, 0])), _RIM if len(self.profile.corners) else _STEP)
         r, z = section[:, 0, None], np.broadcast_to(section[:, 1, None], (len(section), len(angle)))
         return oriented(weld([grid_patch(np.stack((r * np.cos(angle), r * np.sin(angle), z), axis=-1))]))
 
@@ -126,41 +141,46 @@ class Extruded:
         bend = np.where(cap | rim, 0.0, near.curvature)
         wall_edge = np.minimum(near.corner, np.abs(half - np.abs(z - middle)))
         edge = np.where(rim, 0.0, np.where(cap, np.abs(near.signed), wall_edge))
+        upright = ~(cap | rim) & (near.corner < np.abs(half - np.abs(z - middle)))
         return Surface(
             point=point,
             normal=normal,
             axes=axes,
             curvatures=np.column_stack((bend, np.zeros(len(z)))),
             edge_distance=edge,
+            edge_tangent=np.where(upright[:, None], np.abs(up), along),
         )
 
     def mesh(self) -> TriangleMesh:
         """Walls in quads; caps as rings around the bore, or as rungs across an outline without one."""
-        outline = self.outline.points_of(CHORD, LONGEST, _STEP, closed=True)
+        outline = self.outline.points_of(CHORD, LONGEST, _RIM, closed=True, shortest=_SHORTEST)
         if self.bore is None:
             half = len(outline) // 2
             # Rungs join points that face each other across the outline, which starts at one of its ends.
             rungs = np.stack((outline[: half + 1], np.roll(outline[::-1], 1, axis=0)[: half + 1]), axis=1)
-            patches = [*self._caps(rungs), self._wall(outline)]
+            patches = [*self._caps([_flat(rungs)]), self._wall(outline)]
         else:
-            radius = 1.0 / abs(float(self.bore.bend[0]))
-            inner = radius * outline / np.linalg.norm(outline, axis=1)[:, None]
-            count = int(np.ceil(np.max(np.linalg.norm(outline, axis=1) - radius) / LONGEST))
-            share = np.linspace(0.0, 1.0, count + 1)[None, :, None]
-            rings = _closed_ring(inner)[:, None] * (1.0 - share) + _closed_ring(outline)[:, None] * share
-            patches = [*self._caps(rings), self._wall(outline), self._wall(inner[::-1])]
+            radius, around = 1.0 / abs(float(self.bore.bend[0])), np.hypot(*outline.T)
+            start = np.arctan2(outline[0, 1], outline[0, 0])
+            turn = start + _around(radius, _RIM)
+            circle = np.stack((np.cos(turn), np.sin(turn)), axis=1)
+            # Rings as fine as the bore up to near the outline, which has many more points.
+            near = radius + _RINGED * (float(around.min()) - radius)
+            rings = np.linspace(radius, near, int(np.ceil((near - radius) / LONGEST)) + 1)
+            inner = radius * circle[:-1]
+            flat = [_flat(rings[:, None, None] * circle), ring_strip(near * circle[:-1], outline)]
+            patches = [*self._caps(flat), self._wall(outline), self._wall(inner[::-1])]
         return oriented(weld(patches))
 
-    def _caps(self, grid: FloatArray) -> list[TriangleMesh]:
+    def _caps(self, flat: list[TriangleMesh]) -> list[TriangleMesh]:
+        """Flat patches put on both ends, turned outwards."""
         caps = []
-        for z, order in ((self.high, 1), (self.low, -1)):
-            sheet = np.concatenate((grid, np.full((*grid.shape[:2], 1), z)), axis=2)
-            patch = grid_patch(sheet)
-            a, b, c = (patch.vertices[patch.faces[:, k]] for k in range(3))
-            upwards = np.sum(np.cross(b - a, c - a)[:, 2]) > 0.0
-            caps.append(
-                patch if upwards == (order > 0) else TriangleMesh(patch.vertices, patch.faces[:, ::-1])
-            )
+        for z, order in ((self.high, 1.0), (self.low, -1.0)):
+            for patch in flat:
+                vertices = patch.vertices + np.array([0.0, 0.0, z])
+                a, b, c = (vertices[patch.faces[:, k]] for k in range(3))
+                outwards = order * np.sum(np.cross(b - a, c - a)[:, 2]) > 0.0
+                caps.append(TriangleMesh(vertices, patch.faces if outwards else patch.faces[:, ::-1]))
         return caps
 
     def _wall(self, loop: FloatArray) -> TriangleMesh:
@@ -273,6 +293,8 @@ class Bracket:
 
     _FINE = 16
     """Divisions of a cell's side."""
+    _RIM_SIDES = 480
+    """Sides of a hole's mouth."""
 
     def bores(self) -> list[Bore]:
         """All holes."""
@@ -297,6 +319,8 @@ class Bracket:
         # The L's plane (y, z) and its direction x are the (x, y) and z of an extruded solid: a cycle.
         solid = Extruded(outline, 0.0, self.cells[0] * self.cell).surface(points[:, [1, 2, 0]])
         back = [2, 0, 1]
+        assert solid.edge_tangent is not None
+        tangent = solid.edge_tangent[:, back]
         result = Surface(
             point=solid.point[:, back],
             normal=solid.normal[:, back],
@@ -312,6 +336,8 @@ class Bracket:
             wall_gap = np.linalg.norm(points - wall.point, axis=1)
             nearer = wall_gap < gap
             gap = np.where(nearer, wall_gap, gap)
+            round_edge = nearer | (np.abs(mouth) < result.edge_distance)
+            tangent = np.where(round_edge[:, None], wall.axes[:, 0], tangent)
             result = Surface(
                 point=np.where(nearer[:, None], wall.point, result.point),
                 normal=np.where(nearer[:, None], wall.normal, result.normal),
@@ -321,7 +347,7 @@ class Bracket:
                     nearer, wall.edge_distance, np.minimum(result.edge_distance, np.abs(mouth))
                 ),
             )
-        return result
+        return replace(result, edge_tangent=tangent)
 
     def mesh(self) -> TriangleMesh:
         """Cells, strips of the plates' thickness, and the walls of the holes."""
@@ -369,18 +395,17 @@ class Bracket:
             [np.stack(pair, axis=1) for pair in ((side, -full), (full, side), (-side, full), (-full, -side))]
         )
         circle = radius * _directions(len(square))
-        share = np.linspace(0.0, 1.0, 7)[None, :, None]
-        ring = _closed_ring(circle)[:, None] * (1.0 - share) + _closed_ring(square)[:, None] * share
-        flat = np.concatenate(
-            (ring + np.array([u0 + half, v0 + half]), np.zeros((*ring.shape[:2], 1))), axis=2
-        )
-        return grid_patch(flat.transpose(1, 0, 2))
+        share = np.linspace(0.0, 1.0, 7)[1:, None, None]
+        rings = _closed_ring(circle)[None] * (1.0 - share) + _closed_ring(square)[None] * share
+        mouth = ring_strip(radius * _directions(self._RIM_SIDES), rings[0, :-1])
+        ring = weld([mouth, _flat(rings)])
+        return TriangleMesh(ring.vertices + np.array([u0 + half, v0 + half, 0.0]), ring.faces)
 
     def _hole_wall(self, bore: Bore) -> TriangleMesh:
         axis = np.array(bore.axis)
         first = np.array([1.0, 0.0, 0.0])  # every bore is square to x
         second = np.abs(np.cross(axis, first))
-        circle = bore.radius * _closed_ring(_directions(4 * self._FINE))
+        circle = bore.radius * _closed_ring(_directions(self._RIM_SIDES))
         around = np.array(bore.start) + circle[:, :1] * first + circle[:, 1:] * second
         depth = np.linspace(0.0, bore.depth, round(bore.depth * self._FINE / self.cell) + 1)
         grid = around[:, None] + depth[None, :, None] * axis
