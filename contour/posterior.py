@@ -13,22 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contour.antenna import Antenna
-from contour.fit import (
+from contour.fit import Estimate, Prior, fit, screen
+from contour.frames import wrap_angle
+from contour.information import (
     BEND,
     LN_S,
     LN_TAN_ALPHA,
     NU,
     PARAMETERS,
     R_ALONG,
-    Estimate,
     ModelError,
-    Prior,
     PushData,
-    fit,
     prepare,
-    screen,
 )
-from contour.frames import wrap_angle
 from contour.memory import CURVATURE_SIGMA, RADIUS_ALONG
 from contour.sensing import Bins, Touch
 
