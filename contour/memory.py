@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from contour.antenna import Antenna
 from contour.contacts import Contacts, Kind
-from contour.fit import BEND, LN_S, LN_TAN_ALPHA, NU, PARAMETERS, R_ALONG, Prior
+from contour.fit import Prior
 from contour.frames import wrap_angle
+from contour.information import BEND, LN_S, LN_TAN_ALPHA, NU, PARAMETERS, R_ALONG
 from contour.sensing import Touch
 
 __all__ = ["Memory", "Tangent", "touch_position"]

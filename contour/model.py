@@ -16,17 +16,9 @@ from numpy.typing import NDArray
 from contour.antenna import Antenna
 from contour.contacts import Contacts, Flag, Kind
 from contour.errors import InstrumentError
-from contour.fit import (
-    BEND,
-    LN_S,
-    LN_TAN_ALPHA,
-    NU,
-    PARAMETERS,
-    R_ALONG,
-    ModelError,
-    expected_covariance,
-)
+from contour.fit import expected_covariance
 from contour.frames import Mount, wrap_angle
+from contour.information import BEND, LN_S, LN_TAN_ALPHA, NU, PARAMETERS, R_ALONG, ModelError
 from contour.instrument import PushReading, Stop, Watch
 from contour.memory import Memory, touch_position
 from contour.posterior import Posterior, friction_slope

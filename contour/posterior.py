@@ -13,22 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contour.antenna import Antenna
-from contour.fit import (
+from contour.fit import Estimate, Prior, fit, screen
+from contour.frames import wrap_angle
+from contour.information import (
     BEND,
     LN_S,
     LN_TAN_ALPHA,
     NU,
     PARAMETERS,
     R_ALONG,
-    Estimate,
     ModelError,
-    Prior,
     PushData,
-    fit,
     prepare,
-    screen,
 )
-from contour.frames import wrap_angle
 from contour.memory import CURVATURE_SIGMA, RADIUS_ALONG
 from contour.sensing import Bins, Touch
 
@@ -46,8 +43,6 @@ TIP_SIGMA = 0.15e-3
 """What the tip's distance may differ from L by: its end is round [m]."""
 TIP_TILT = 0.6
 """Sigma of the tangent of a tipped surface's tilt."""
-BELIEVED = 1.25
-"""chi^2 per degree of freedom below which a tip is not compared with a side contact again."""
 TIP_MARGIN = 8.0
 """How much worse (a chi^2) the tip may explain the readings and still be preferred: contacts of the tip crowd at L,
 where those of the side are rare, and have a distance less to please the readings with."""
@@ -278,8 +273,7 @@ class Posterior:
         pulled = (away > PULLED * self._prior_sigma[rows, NU]) & (self._prior_sigma[rows, NU] < SURE)
         unlikely = self.misfit[rows] > UNLIKELY
         near = np.abs(np.exp(self.mean[rows, LN_S]) / self._antenna.beam.length - 1.0) < NEAR_TIP
-        believed = self.tip[rows] & (self.misfit[rows] < BELIEVED)
-        other = near & ~believed & ~(self._compared[rows] & ~unlikely)
+        other = near & ~(self._compared[rows] & ~unlikely)
         loose = (pulled | unlikely) & ~self.corner[rows]
         again = unlikely & self.corner[rows]
         self._compared[rows[other]] = True

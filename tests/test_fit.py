@@ -6,21 +6,9 @@ import numpy as np
 from push_bench import Bench, true_contacts
 
 from contour.antenna import Sensor
-from contour.fit import (
-    BEND,
-    LN_S,
-    LN_TAN_ALPHA,
-    NU,
-    R_ALONG,
-    TAIL,
-    ModelError,
-    Prior,
-    expected_covariance,
-    fit,
-    prepare,
-    screen,
-)
+from contour.fit import TAIL, Prior, expected_covariance, fit, screen
 from contour.frames import wrap_angle
+from contour.information import BEND, LN_S, LN_TAN_ALPHA, NU, R_ALONG, ModelError, prepare
 from contour.machine import NoiseKey
 from contour.sensing import binned
 

@@ -10,8 +10,8 @@ from push_bench import Bench, true_contacts
 
 from contour.antenna import Antenna
 from contour.contacts import Contacts, Kind
-from contour.fit import BEND, LN_TAN_ALPHA, NU
 from contour.frames import wrap_angle
+from contour.information import BEND, LN_TAN_ALPHA, NU
 from contour.memory import FRICTION, Memory
 
 ANTENNA = Antenna()

@@ -8,8 +8,9 @@ from push_bench import Bench, true_contacts
 
 from contour.antenna import Sensor
 from contour.contacts import Kind
-from contour.fit import BEND, LN_S, LN_TAN_ALPHA, NU, R_ALONG, ModelError, Prior
+from contour.fit import Prior
 from contour.frames import wrap_angle
+from contour.information import BEND, LN_S, LN_TAN_ALPHA, NU, R_ALONG, ModelError
 from contour.machine import NoiseKey
 from contour.posterior import Posterior
 from contour.sensing import binned
