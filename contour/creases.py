@@ -35,7 +35,7 @@ FOLDED = 0.25
 """Below this sine of the angle between the two surfaces' normals their cross product does not tell the tangent."""
 ALIKE = 1e-3
 """Tangents that two sides have at their common vertex are one if they differ by less [rad]."""
-STEPS = 4
+STEPS = 3
 """Newton steps to the touched place of a curve."""
 BEYOND = 0.5
 """A round beam at a vertex may touch the curve this share of a side beyond it."""
@@ -111,10 +111,8 @@ class Creases:
         row, length, along = self._row[edge], self._length[self._row[edge]], beams.along
         first = np.clip(dot(point - self._start[row], self._side[row]) / length, 0.0, 1.0)
         share, back = first.copy(), np.zeros(len(row))
-        normal, tangent = facing.copy(), self._direction(row, share)
-        flat = tangent
-        told = np.ones(len(row), dtype=np.bool_)
-        for _ in range(STEPS + 1):
+        normal, told = facing, np.ones(len(row), dtype=np.bool_)
+        for _ in range(STEPS):
             tangent = self._direction(row, share)
             flat = tangent - dot(tangent, along)[:, None] * along
             sine = np.linalg.norm(flat, axis=1)
@@ -132,12 +130,10 @@ class Creases:
             share = share + np.where(told, aside / np.maximum(speed, 0.5 * length * sine), 0.0)
             share = np.clip(share, -BEYOND, 1.0 + BEYOND)
             back = back + np.where(told, later, 0.0)
-        outside = ((share < -NEAR_END) & ~self.joined[row, 0]) | (
-            (share > 1.0 + NEAR_END) & ~self.joined[row, 1]
-        )
-        told &= ~outside & (np.abs(back) < 0.5 * length) & (dot(normal, facing) > np.cos(CURVE_TURN))
+        over = np.where(self.joined[row], BEYOND, NEAR_END)
+        told &= (share > -over[:, 0]) & (share < 1.0 + over[:, 1])
+        told &= (np.abs(back) < 0.5 * length) & (dot(normal, facing) > np.cos(CURVE_TURN))
         normal = self._kept_outside(row, np.clip(share, 0.0, 1.0), normal, along)
-        told &= dot(normal, facing) > np.cos(CURVE_TURN)
         tangent = unit(self._direction(row, np.where(told, share, first)))
         return CreaseTouch(
             back=np.where(told, back, 0.0),

@@ -39,7 +39,7 @@ def over_the_rim(rng, n, drum_radius, beam_radius):
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.4e-3])
-@pytest.mark.parametrize("size", [0.05, 0.006])
+@pytest.mark.parametrize("size", [0.05, 0.006, 0.6e-3])
 @pytest.mark.parametrize("sections", [24, 60, 200])
 def test_polygonal_rim_has_the_normals_of_its_circle(sections, size, radius, rng):
     """Normals, tangents, curvature and height are those of the circle to high order in half a side's angle a."""
@@ -152,15 +152,20 @@ def test_the_rim_of_an_open_sheet_is_round_too():
 
 
 def test_corners_of_an_open_sheet_stay_sharp():
-    """The rim of a square sheet has corners; its sides are straight right up to them."""
+    """The rim of an oblong sheet has corners; its sides, long and short, are straight right up to them."""
     sheet = MeshEnvironment(
-        trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], [[0, 1, 2], [0, 2, 3]])
+        trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0.1, 0.01, 0], [0, 0.01, 0]], [[0, 1, 2], [0, 2, 3]])
     )
     assert not sheet.creases.joined.any()
-    x = np.array([0.001, 0.03, 0.099])
-    base = np.stack([x, np.full(3, -0.02), np.full(3, -0.1)], axis=1)
-    contact = sheet.first_contact(base, np.tile(Z, (3, 1)), LENGTH, translation=np.tile([0, 0.05, 0], (3, 1)))
-    np.testing.assert_allclose(contact.normal, np.tile([0, -1, 0], (3, 1)), atol=1e-12)
+    place = np.array(
+        [[0.001, 0, 0], [0.03, 0, 0], [0.099, 0, 0], [0, 0.001, 0], [0, 0.004, 0], [0, 0.009, 0]]
+    )
+    outward = np.array([[0.0, -1.0, 0.0]] * 3 + [[-1.0, 0.0, 0.0]] * 3)
+    contact = sheet.first_contact(
+        place + 0.02 * outward - 0.1 * Z, np.tile(Z, (6, 1)), LENGTH, translation=-0.05 * outward
+    )
+    np.testing.assert_allclose(contact.normal, outward, atol=1e-12)
+    np.testing.assert_allclose(contact.travel, 0.02, atol=1e-12)
 
 
 def test_the_normal_stays_between_the_two_surfaces(rng):
@@ -245,3 +250,42 @@ def test_silhouette_keeps_the_kink_at_a_corner_of_the_rim():
     # From the corner both sides fall back by 1 / sqrt(3) of the way aside, which from 45 deg looks less.
     np.testing.assert_allclose(np.abs(slope), np.sqrt(0.5) / np.sqrt(3.0), atol=1e-6)
     np.testing.assert_allclose(slope[:20], -slope[20:], atol=1e-6)
+
+
+def test_a_line_that_ends_at_a_crease_keeps_its_end():
+    """Facets of 0.4 mm that run down from a rim on a ball: the line's near end is felt, not the facet's middle."""
+    polar = np.deg2rad(45.0) + 0.008 * np.arange(40)
+    section = 0.05 * np.stack([np.sin(polar), np.cos(polar)], axis=1)
+    section = np.concatenate([[(0.0, section[-1, 1])], section[::-1], [(0.0, section[0, 1])]])
+    environment = MeshEnvironment(trimesh.creation.revolve(section, sections=64))
+    turn = np.pi / 64
+    radial = np.array([np.cos(turn), np.sin(turn), 0.0])
+    # The facet's middle meridian begins on the chord of the rim.
+    rim = 0.05 * np.sin(polar[0]) * np.cos(turn) * radial + 0.05 * np.cos(polar[0]) * Z
+    facet = 0.05 * np.array([np.sin(polar[1]) * np.cos(turn), np.cos(polar[1])])
+    down = facet[0] * radial + facet[1] * Z - rim
+    direction = down / np.linalg.norm(down)
+    normal = np.cross(direction, np.cross(radial, Z))
+    normal *= np.sign(normal @ Z)
+    base = rim + 0.01 * normal - 0.1 * direction
+    contact = environment.first_contact(base[None], direction[None], LENGTH, translation=-0.02 * normal[None])
+    assert contact.line[0]
+    assert contact.distance[0] == pytest.approx(0.1, abs=1e-7)
+    assert contact.travel[0] == pytest.approx(0.01, abs=1e-9)
+    np.testing.assert_allclose(contact.point[0], rim, atol=1e-7)
+
+
+def test_a_round_beam_rolls_about_a_corner():
+    """Touching a vertex of a box its normals are all those between the edges', from the vertex to the axis."""
+    environment = MeshEnvironment(trimesh.creation.box(extents=(0.1, 0.1, 0.1)))
+    direction = unit(np.tile([1.0, -0.8, -0.1], (9, 1)))
+    # Square to the beam, from the upright edge's normal towards that of the upper edge along y.
+    one, two = np.cross(Z, direction), np.cross(np.array([0.0, 1.0, 0.0]), direction)
+    one, two = (unit(v) * np.sign(v @ np.ones(3))[:, None] for v in (one, two))
+    share = np.linspace(0.1, 0.9, 9)[:, None]
+    normal = unit((1.0 - share) * one + share * two)
+    base = 0.05 + 0.022 * normal - 0.1 * direction
+    contact = environment.first_contact(base, direction, LENGTH, translation=-0.03 * normal, radius=2e-3)
+    np.testing.assert_allclose(contact.travel, 0.02, atol=1e-9)
+    np.testing.assert_allclose(contact.point, 0.05, atol=1e-7)
+    np.testing.assert_allclose(contact.normal, normal, atol=1e-5)
