@@ -23,9 +23,11 @@ from contour.errors import UsageError
 from contour.quantities import METRES_PER
 
 __all__ = [
+    "Table",
     "read_csv",
     "read_json",
     "read_ply",
+    "replace_file",
     "table",
     "write_csv",
     "write_json",
@@ -99,7 +101,7 @@ def write_csv(path: Path, columns: Table) -> None:
         else:
             texts.append([repr(value) for value in column.tolist()])
     lines = [",".join(columns), *(",".join(row) for row in zip(*texts, strict=True))]
-    _replace(path, ("\n".join(lines) + "\n").encode("ascii"))
+    replace_file(path, ("\n".join(lines) + "\n").encode("ascii"))
 
 
 def read_csv(path: Path) -> Table:
@@ -137,7 +139,7 @@ def write_ply(path: Path, columns: Table, *, unit: str) -> None:
     kinds = {"<f8": "double", "<f4": "float"}
     header = ["ply", "format binary_little_endian 1.0", f"comment unit {unit}", f"element vertex {len(rows)}"]
     header += [f"property {kinds[kind]} {name}" for name, kind in fields]
-    _replace(path, "\n".join([*header, "end_header", ""]).encode("ascii") + rows.tobytes())
+    replace_file(path, "\n".join([*header, "end_header", ""]).encode("ascii") + rows.tobytes())
 
 
 def read_ply(path: Path) -> tuple[Table, str]:
@@ -185,12 +187,12 @@ def write_vtp(path: Path, columns: Table, *, unit: str) -> None:
         f"<Points>\n{_array('Points', point)}</Points>\n<Verts>\n{cells}</Verts>\n"
         "</Piece>\n</PolyData>\n</VTKFile>\n"
     )
-    _replace(path, xml.encode("utf-8"))
+    replace_file(path, xml.encode("utf-8"))
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """Write a JSON object; numbers that are not finite become null, since JSON has none."""
-    _replace(path, (json.dumps(_plain(values), indent=2, allow_nan=False) + "\n").encode("utf-8"))
+    replace_file(path, (json.dumps(_plain(values), indent=2, allow_nan=False) + "\n").encode("utf-8"))
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -255,7 +257,7 @@ def _open(path: Path) -> Path:
     return path
 
 
-def _replace(path: Path, content: bytes) -> None:
+def replace_file(path: Path, content: bytes) -> None:
     """Put ``content`` at ``path`` in one step, so that a reader never sees half of it."""
     partial = path.with_name(path.name + ".part")
     partial.write_bytes(content)
