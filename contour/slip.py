@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from contour.bracket import first_root
 from contour.reduced_rod import (
     NOTHING,
     Conditions,
@@ -40,14 +41,6 @@ INNER_STEPS_HARD = (2, 3, 4, 6, 6, 6, 6)
 """The same on the rows that have not settled, before the bracketing search."""
 SETTLED = 1e-8
 """What the next step would change, relative to the depth of the push: the last is accepted below this."""
-BRACKETS = 300
-"""Most search intervals of the fallback."""
-FIRST_BRACKET = 1e-7
-"""Length of the first, relative to the depth of the push."""
-GROWTH = 1.4
-"""How much longer each is than the one before."""
-BISECTIONS = 52
-"""Halvings of the fallback: a double's precision."""
 LEAST_SLIP = 1e-20
 """Shortest slip that a bound divides by [s]."""
 
@@ -221,35 +214,13 @@ def _improve(
 
 
 def _search(rows: Rows, turn: Turn, before: Memory, depth: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """The first equilibrium past the last position, by growing brackets and bisection; False where there is
-    none.
-    """
-    start = before.b
-    first, _ = residual(rows, turn, start, before)
-    sense = -np.sign(first)
-    width = FIRST_BRACKET * depth
-    longest = rows.profile.reach()
-    low = start.copy()
-    high = start + sense * width
-    found = first == 0.0
-    lost = np.zeros_like(found)
-    for _ in range(BRACKETS):
-        value, normal = residual(rows, turn, high, before)
-        lost |= ~found & ((normal <= 0.0) | ~rows.profile.within(high))
-        found |= ~lost & (value * sense >= 0.0)
-        going = ~(found | lost)
-        if not going.any():
-            break
-        low = np.where(going, high, low)
-        width = np.minimum(width * GROWTH, longest)
-        high = np.where(going, high + sense * width, high)
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        value, _ = residual(rows, turn, middle, before)
-        past = value * sense >= 0.0
-        high = np.where(past, middle, high)
-        low = np.where(past, low, middle)
-    return np.where(found, 0.5 * (low + high), start), found
+    """The first equilibrium past the last position; False where there is none."""
+
+    def evaluate(b: FloatArray) -> tuple[FloatArray, BoolArray]:
+        value, normal = residual(rows, turn, b, before)
+        return value, (normal > 0.0) & rows.profile.within(b)
+
+    return first_root(evaluate, before.b, depth, rows.profile.reach())
 
 
 def _solve(
@@ -331,8 +302,9 @@ def _follow_rows(rows: Rows, thetas: FloatArray, out: dict[str, FloatArray], sli
     b, length, paid = zero, np.ones(n), np.ones(n)
     slid = pay = rate = along = moved_before = theta_before = zero
     gone = np.zeros(n, dtype=np.bool_)
-    free = np.flatnonzero(~rows.profile.held())
+    corner = rows.profile.held()
     for step, theta in enumerate(thetas):
+        free = np.flatnonzero(~(corner | gone))
         sine = np.sin(theta)
         moved = theta - theta_before
         w = pace(moved, moved_before)

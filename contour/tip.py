@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from contour.bracket import first_root
 from contour.silhouette import Profile
 from contour.slip import pace
 from contour.tip_rod import (
@@ -40,12 +41,6 @@ INNER_STEPS, INNER_STEPS_HARD = (2, 2), (2, 3, 4, 6, 6, 6, 6)
 """Newton steps on friction in each step on the geometry: all rows, then those that have not settled."""
 SETTLED = 1e-8
 """What the next step would change, relative to the depth of the push: the last is accepted below this."""
-BRACKETS = 300
-"""Most search intervals of the fallback."""
-FIRST_BRACKET, GROWTH = 1e-7, 1.4
-"""Length of the first, relative to the depth of the push, and how much longer each is than the one before."""
-BISECTIONS = 52
-"""Halvings of the fallback: a double's precision."""
 LENGTH_STEPS = 3
 """Corrections of v on a corner, each about tan(chi) r/5 of the one before."""
 
@@ -195,36 +190,15 @@ def _residual(
 def _search(
     rows: Rows, turn: Turn, v: FloatArray, before: Memory, depth: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """b and v of the first equilibrium past the last position, by growing brackets and bisection; False where
-    there is none.
-    """
-    start = before.b
-    first, _, v = _residual(rows, turn, start, v, before)
-    sense = -np.sign(first)
-    width = FIRST_BRACKET * depth
-    longest = rows.profile.reach()
-    low = start.copy()
-    high = start + sense * width
-    found = first == 0.0
-    lost = np.zeros_like(found)
-    for _ in range(BRACKETS):
-        value, pressed, v = _residual(rows, turn, high, v, before)
-        lost |= ~found & ~(pressed & rows.profile.within(high))
-        found |= ~lost & (value * sense >= 0.0)
-        going = ~(found | lost)
-        if not going.any():
-            break
-        low = np.where(going, high, low)
-        width = np.minimum(width * GROWTH, longest)
-        high = np.where(going, high + sense * width, high)
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        value, _, v = _residual(rows, turn, middle, v, before)
-        past = value * sense >= 0.0
-        high = np.where(past, middle, high)
-        low = np.where(past, low, middle)
-    b = np.where(found, 0.5 * (low + high), start)
-    return b, _residual(rows, turn, b, v, before)[2], found
+    """b and v of the first equilibrium past the last position; False where there is none."""
+    near = [v]
+
+    def evaluate(b: FloatArray) -> tuple[FloatArray, BoolArray]:
+        value, pressed, near[0] = _residual(rows, turn, b, near[0], before)
+        return value, pressed & rows.profile.within(b)
+
+    b, found = first_root(evaluate, before.b, depth, rows.profile.reach())
+    return b, _residual(rows, turn, b, near[0], before)[2], found
 
 
 def _solve(
@@ -310,9 +284,10 @@ def _follow_rows(rows: Rows, thetas: FloatArray, out: dict[str, FloatArray], sli
     pull = shown = felt
     slope2 = zero
     gone = np.zeros(n, dtype=np.bool_)
-    free = np.flatnonzero(~rows.profile.held())
-    held = free.size < n
+    corner = rows.profile.held()
+    held = bool(corner.any())
     for step, theta in enumerate(thetas):
+        free = np.flatnonzero(~(corner | gone))
         sine = np.sin(theta)
         moved = theta - theta_before
         w = pace(moved, moved_before)
@@ -323,7 +298,7 @@ def _follow_rows(rows: Rows, thetas: FloatArray, out: dict[str, FloatArray], sli
         carry = w * w / (1.0 + 2.0 * w)
         before = Memory(b, carry * slid, climb + carry * paid)
         guess_b, guess_v = b + rate * (w * moved_before), v + rate_v * (w * moved_before)
-        if not held:
+        if free.size == n:
             new_b, new_v, on_body = _solve(rows, turn, (guess_b, guess_v), before, theta)
             gone |= ~on_body
         else:
