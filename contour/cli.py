@@ -19,7 +19,7 @@ from contour.errors import ContourError, LinkError, UsageError
 if TYPE_CHECKING:
     from contour.scene import Scene
 
-__all__ = ["app", "demo", "doctor", "main", "scan"]
+__all__ = ["app", "compare", "demo", "doctor", "main", "scan"]
 
 DEMO = "mug"
 """Shape that the demo maps."""
@@ -43,6 +43,7 @@ def scan(
     out: Path | None = None,
     strategy: str | None = None,
     seed: int | None = None,
+    surface: str | None = None,
     dry_run: Annotated[bool, cyclopts.Parameter(negative=())] = False,
 ) -> int:
     """Map an object: contacts along contours round it, with their uncertainty.
@@ -53,11 +54,12 @@ def scan(
         out: folder for the results; results/NAME if not given.
         strategy: model, bisection, bisection-limited or one-push.
         seed: of everything random.
+        surface: auto, hermite, layers or none: how the surface is made from the contacts.
         dry_run: check everything and say what would be done, but do not scan.
     """
     from contour.scene import load_scene
 
-    scene = load_scene(source, unit=unit, strategy=strategy, seed=seed)
+    scene = load_scene(source, unit=unit, strategy=strategy, seed=seed, surface=surface)
     return _scan(scene, _free_folder(out, scene.name), dry_run=dry_run)
 
 
@@ -76,6 +78,23 @@ def demo(*, out: Path | None = None) -> int:
     mesh = folder / f"{DEMO}.ply"
     shapes.write_mesh(mesh, shapes.load(DEMO).mesh(), DEMO)
     return _scan(load_scene(mesh, unit="mm"), folder, dry_run=False)
+
+
+@app.command
+def compare(mesh: Path, run: Path, *, unit: str | None = None) -> int:
+    """Hold the surface of a finished scan against a nominal mesh; writes comparison.json into its folder.
+
+    Args:
+        mesh: the nominal mesh, placed as the scan's only object was; or a scene file (.toml).
+        run: folder of the scan.
+        unit: unit of the mesh's numbers, where the file does not say (mm, m, ...).
+    """
+    from contour.console import metrics_table
+    from contour.finish import compare_to
+
+    console = Console(soft_wrap=True, highlight=False)
+    console.print(metrics_table(f"{run} against {mesh}", compare_to(mesh, run, unit=unit)))
+    return OK
 
 
 @app.command
@@ -106,6 +125,7 @@ def _free_folder(out: Path | None, name: str) -> Path:
 def _scan(scene: Scene, folder: Path, *, dry_run: bool) -> int:
     """Run the pipeline, with progress before and a table after."""
     from contour.console import Reporter, metrics_table
+    from contour.finish import finishing
     from contour.scan import prepare, run
 
     console = Console(soft_wrap=True, highlight=False)
@@ -114,7 +134,7 @@ def _scan(scene: Scene, folder: Path, *, dry_run: bool) -> int:
         console.print(metrics_table(f"{scene.name}, not scanned", job.outlook()))
         return OK
     with Reporter(console) as report:
-        metrics = run(job, folder, progress=report)
+        metrics = run(job, folder, progress=report, finish=finishing(job))
     console.print(metrics_table(f"{scene.name}, results in {folder}", metrics))
     return OK
 

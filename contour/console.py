@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -29,9 +30,10 @@ _UNITS: tuple[tuple[str, str, float, str], ...] = (
     ("_m", "mm", 1e3, ".3f"),
     ("_rad", "deg", 180.0 / math.pi, ".2f"),
     ("_rel", "%", 100.0, ".3f"),
+    ("_share", "%", 100.0, ".1f"),
 )
 """How names end, the unit shown for them, its factor from SI, and the format."""
-_SHARES = ("coverage",)
+_SHARES = ("coverage", "touched")
 """Beginnings of names that are shares, shown in percent."""
 
 
@@ -81,10 +83,20 @@ def metrics_table(title: str, metrics: Mapping[str, Any]) -> Table:
     for name, value in metrics.items():
         if isinstance(value, Mapping):
             for part, count in value.items():
-                table.add_row(f"{name}: {part}".replace("_", " "), str(count), "")
-        elif value is not None:
-            table.add_row(*_row(name, value))
+                _add(table, f"{name}: ".replace("_", " "), part, count)
+        else:
+            _add(table, "", name, value)
     return table
+
+
+def _add(table: Table, group: str, name: str, value: Any) -> None:
+    """A row for one figure; for notes one each."""
+    if name == "notes":
+        for note in value:
+            table.add_row(f"{group}note", escape(note), "")
+    elif value is not None:
+        label, text, unit = _row(name, value)
+        table.add_row(group + label, text, unit)
 
 
 def _row(name: str, value: Any) -> tuple[str, str, str]:
@@ -98,6 +110,10 @@ def _row(name: str, value: Any) -> tuple[str, str, str]:
             break
     if name.startswith(_SHARES):
         unit, factor, form = "%", 100.0, ".1f"
+    if isinstance(value, bool):
+        return label.replace("_", " "), "yes" if value else "no", ""
+    if name == "seconds":
+        return "time", format(value, ".2f"), "s"
     values = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
     texts = [
         str(item) if isinstance(item, str | int) and not unit else format(factor * item, form)

@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ __all__ = ["SURFACE_FILE", "Run", "load_run", "load_surface", "write_surface"]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+Read = TypeVar("Read")
 
 SURFACE_FILE = "surface.ply"
 
@@ -74,17 +76,27 @@ def load_run(folder: Path) -> Run:
         half = any((folder / name).exists() for name in ("run.json", "contacts.csv", "readings.npz"))
         said = "was not finished" if half else "holds no scan"
         raise UsageError(f"{folder} {said}: it has no metrics.json; scan again into a new folder")
-    contacts = read_csv(folder / "contacts.csv")
+    contacts = _read(read_csv, folder / "contacts.csv")
     if contacts["id"].size == 0:
         raise UsageError(f"{folder} holds a scan without contacts: see how its contours ended in log.jsonl")
-    _, unit = read_ply(folder / "points.ply")
+    _, unit = _read(read_ply, folder / "points.ply")
     return Run(
         folder=folder,
-        record=read_json(folder / "run.json"),
-        metrics=read_json(folder / "metrics.json"),
+        record=_read(read_json, folder / "run.json"),
+        metrics=_read(read_json, folder / "metrics.json"),
         contacts=contacts,
         unit=unit,
     )
+
+
+def _read(reader: Callable[[Path], Read], path: Path) -> Read:
+    """What ``reader`` makes of the file; damaged ones are refused by name."""
+    try:
+        return reader(path)
+    except UsageError:
+        raise
+    except (ValueError, KeyError, IndexError) as error:
+        raise UsageError(f"{path} is damaged ({error}): scan again into a new folder") from error
 
 
 def write_surface(path: Path, surface: Surface, *, unit: str) -> None:
@@ -104,7 +116,8 @@ def write_surface(path: Path, surface: Surface, *, unit: str) -> None:
     faces["count"], faces["corners"] = 3, surface.faces
     words = {"<f8": "double", "<f4": "float"}
     header = ["ply", "format binary_little_endian 1.0", f"comment unit {unit}"]
-    header += [f"comment method {surface.method}", *(f"comment note {note}" for note in surface.notes)]
+    header += [f"comment method {surface.method}", f"comment touched {surface.touched!r}"]
+    header += [f"comment seconds {surface.seconds!r}", *(f"comment note {note}" for note in surface.notes)]
     header += [f"element vertex {len(vertices)}"]
     header += [f"property {words[kind]} {name}" for name, kind in kinds.items()]
     header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
@@ -117,6 +130,10 @@ def load_surface(run: Run) -> Surface | None:
     if not path.is_file():
         return None
     columns, unit = read_ply(path)
+    if unit not in METRES_PER or f"scalar_trust_{unit}" not in columns:
+        raise UsageError(
+            f"{path} is no surface with trust as a scan leaves it: move it away, and compare again"
+        )
     content = path.read_bytes()
     head, _, body = content.partition(b"end_header\n")
     lines = head.decode("utf-8").split("\n")
@@ -125,20 +142,19 @@ def load_surface(run: Run) -> Surface | None:
     rows = np.frombuffer(body[len(body) - size :], dtype=[("count", "u1"), ("corners", "<i4", (3,))])
     scale = METRES_PER[unit]
     faces = rows["corners"].astype(np.int64)
-    comments = [line.split(" ", 2) for line in lines if line.startswith("comment ")]
-    method = next((words[2] for words in comments if words[1] == "method"), "")
+    comments = [line.split(" ", 2)[1:] for line in lines if line.startswith("comment ")]
+    said = {words[0]: words[1] for words in comments if words[0] != "note"}
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, uses = np.unique(edges, axis=0, return_counts=True)
-    surface = run.metrics.get("surface") or {}
     return Surface(
         vertices=np.stack([columns[axis] for axis in "xyz"], axis=1) * scale,
         faces=faces,
         normals=np.stack([columns[name] for name in ("nx", "ny", "nz")], axis=1).astype(np.float64),
         trust=columns[f"scalar_trust_{unit}"].astype(np.float64) * scale,
         sigma=columns[f"scalar_sigma_{unit}"].astype(np.float64) * scale,
-        method=method,
+        method=said.get("method", ""),
         watertight=bool(np.all(uses == 2)),
-        touched=float(surface.get("touched", np.nan)),
-        notes=tuple(words[2] for words in comments if words[1] == "note"),
-        seconds=float(surface.get("seconds", np.nan)),
+        touched=float(said.get("touched", "nan")),
+        notes=tuple(words[1] for words in comments if words[0] == "note"),
+        seconds=float(said.get("seconds", "nan")),
     )

@@ -2,8 +2,8 @@
 
 A result folder has ``contacts.csv`` (SI units), ``points.ply`` and ``points.vtp`` (in the unit of the mesh),
 ``readings.npz`` (all samples, for :func:`replay`), ``log.jsonl`` (events, one JSON object a line),
-``run.json`` (resolved scene, versions, seed) and ``metrics.json``, which is written last: its presence says
-done.
+``run.json`` (resolved scene, versions, seed), what ``finish`` adds (:mod:`contour.finish`: ``surface.ply``) and
+``metrics.json``, which is written last: its presence says done.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from contour.tracing import Tracer
 from contour.truth import truth_of
 from contour.virtual import TrueContact
 
-__all__ = ["Job", "Observed", "Progress", "events", "follow", "prepare", "replay", "run"]
+__all__ = ["Finish", "Job", "Observed", "Progress", "events", "follow", "prepare", "replay", "run"]
 
 TOUCH_SIGMA = 8e-6
 """Standard deviation of a touch's place by the machine's last step back [m]."""
@@ -58,6 +58,8 @@ TOUCH_SIGMA = 8e-6
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int, float], None]
 """``progress(contacts, share)``: contacts made so far and the share of the work that is done."""
+Finish = Callable[[Path, cloud.Table], dict[str, Any]]
+"""``finish(folder, columns)``: what follows a scan; metrics to add."""
 Observer = Callable[[Contacts], None]
 LIBRARIES = ("numpy", "scipy", "trimesh", "embreex")
 """What the numbers of a run depend on, besides contour itself."""
@@ -157,8 +159,14 @@ def follow(
     return (tracer.place(Contacts.concatenate(parts)) if parts else None), tracer.summary()
 
 
-def run(job: Job, folder: Path, *, progress: Progress | None = None) -> dict[str, Any]:
-    """Scan ``job`` and write its result folder; the metrics, which are written last."""
+def run(
+    job: Job, folder: Path, *, progress: Progress | None = None, finish: Finish | None = None
+) -> dict[str, Any]:
+    """Scan ``job`` and write its result folder; the metrics, which are written last.
+
+    ``finish`` comes before them, when all else is in the folder. What it returns is added to them; if it
+    raises, they are written without, and the scan is whole.
+    """
     scene = job.scene
     simulated = MeshInstrument(
         job.environment,
@@ -205,7 +213,10 @@ def run(job: Job, folder: Path, *, progress: Progress | None = None) -> dict[str
     cloud.write_csv(folder / "contacts.csv", columns)
     cloud.write_ply(folder / "points.ply", columns, unit=job.unit)
     cloud.write_vtp(folder / "points.vtp", columns, unit=job.unit)
-    cloud.write_json(folder / "metrics.json", metrics)
+    try:
+        metrics |= {} if finish is None else finish(folder, columns)
+    finally:
+        cloud.write_json(folder / "metrics.json", metrics)
     return metrics
 
 

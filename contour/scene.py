@@ -12,7 +12,7 @@ key or in the value (contour.quantities)::
 
     [antenna]                       # length_mm, diameter_mm, youngs_modulus_GPa, adaptor_mm, ...
     [gantry]                        # speeds, axis limits, floor, mount
-    [scan]                          # strategy, rung, tolerance, seed
+    [scan]                          # strategy, rung, tolerance, seed, surface
     [plan]                          # family, step_mm, contours, ...
 
 A misspelled key is refused by name. Everything is checked before anything is made.
@@ -39,12 +39,14 @@ from contour.plan import Plan, Reach, default_plan, levels_plan, orientation_pla
 from contour.quantities import ANY_LENGTH, METRES_PER, Key, closest, read_section
 from contour.strategy import STRATEGIES
 
-__all__ = ["Body", "PlanSettings", "ScanSettings", "Scene", "load_scene"]
+__all__ = ["SURFACES", "Body", "PlanSettings", "ScanSettings", "Scene", "load_scene", "scene_of_record"]
 
 FloatArray = NDArray[np.float64]
 
 FAMILIES = ("default", "levels", "silhouettes")
 """Kinds of plan."""
+SURFACES = ("auto", "hermite", "layers", "none")
+"""Ways to the surface after a scan: contour.surface.METHODS, or none."""
 STEEPEST_FRICTION = float(np.deg2rad(80.0))
 """Friction angles from here on are no friction angles any more [rad]."""
 
@@ -75,9 +77,15 @@ class ScanSettings:
     """Error of the simulator's forward model that ``auto`` allows, as a share of the moment."""
     seed: int = 0
     """Of everything random."""
+    surface: str = "auto"
+    """One of :data:`SURFACES`."""
 
     def __post_init__(self) -> None:
-        for word, known, what in ((self.strategy, STRATEGIES, "strategy"), (self.rung, RUNGS, "rung")):
+        for word, known, what in (
+            (self.strategy, STRATEGIES, "strategy"),
+            (self.rung, RUNGS, "rung"),
+            (self.surface, SURFACES, "surface method"),
+        ):
             if word not in known:
                 raise UsageError(f"no {what} is called {word!r}: {closest(word, known)}")
         if not 0.0 < self.tolerance < 1.0:
@@ -219,6 +227,7 @@ _SECTIONS: dict[str, dict[str, Key]] = {
         "rung": Key(kind="text", choices=RUNGS),
         "tolerance": Key(kind="number"),
         "seed": Key(kind="whole"),
+        "surface": Key(kind="text", choices=SURFACES),
     },
     "plan": {
         "family": Key(kind="text", choices=FAMILIES),
@@ -235,7 +244,12 @@ DEFAULT_FRICTION = float(np.deg2rad(10.0))
 
 
 def load_scene(
-    path: Path, *, unit: str | None = None, strategy: str | None = None, seed: int | None = None
+    path: Path,
+    *,
+    unit: str | None = None,
+    strategy: str | None = None,
+    seed: int | None = None,
+    surface: str | None = None,
 ) -> Scene:
     """The scene of a TOML file, or the default scene around a mesh file.
 
@@ -244,6 +258,7 @@ def load_scene(
         unit: unit of meshes for which the scene names none.
         strategy: instead of the scene's.
         seed: instead of the scene's.
+        surface: instead of the scene's.
 
     Raises:
         UsageError: whatever is wrong with it, in one line.
@@ -258,9 +273,42 @@ def load_scene(
     sections = _parse(path) if toml else {"object": [{"mesh": path.name}]}
     scene = _build(path, sections)
     bodies = tuple(replace(body, unit=body.unit or unit) for body in scene.bodies)
-    chosen = {k: v for k, v in {"strategy": strategy, "seed": seed}.items() if v is not None}
+    asked = {"strategy": strategy, "seed": seed, "surface": surface}
+    chosen = {k: v for k, v in asked.items() if v is not None}
     scan = replace(scene.scan, **chosen)  # type: ignore[arg-type]
     return replace(scene, bodies=bodies, scan=scan, machine=replace(scene.machine, seed=scan.seed))
+
+
+def scene_of_record(record: Mapping[str, Any]) -> Scene:
+    """The scene that :meth:`Scene.resolved` wrote down, as ``run.json`` has it."""
+    antenna, machine, plan = record["antenna"], record["machine"], record["plan"]
+    limits = {
+        name: np.array([least if number is None else number for number in record["reach"][name]])
+        for name, least in (("lower", -np.inf), ("upper", np.inf))  # JSON has no infinity
+    }
+    floor = record["reach"]["floor"]
+    sensor = Sensor(**antenna["sensor"])
+    bodies = [
+        {**body, "mesh": Path(body["mesh"]), "placement": np.array(body["placement"])}
+        for body in record["objects"]
+    ]
+    return Scene(
+        name=record["name"],
+        bodies=tuple(Body(**body) for body in bodies),
+        antenna=Antenna(beam=Beam(**antenna["beam"]), sensor=sensor, moment_limit=antenna["moment_limit"]),
+        machine=MachineModel(**{**machine, "sensor": Sensor(**machine["sensor"])}),
+        mount=Mount(np.array(record["mount"]["rotation"]), np.array(record["mount"]["origin"])),
+        reach=Reach(**limits, floor=-np.inf if floor is None else floor),
+        scan=ScanSettings(**record["scan"]),
+        plan=PlanSettings(
+            **{
+                **plan,
+                "axis": tuple(plan["axis"]),
+                "heights": tuple(plan["heights"]),
+                "directions": tuple(tuple(direction) for direction in plan["directions"]),
+            }
+        ),
+    )
 
 
 def _parse(path: Path) -> dict[str, Any]:
