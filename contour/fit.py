@@ -42,6 +42,9 @@ _TRUSTED_GAIN = 1.0
 """Fall of the cost that a step with little damping is trusted with, without looking."""
 _TRUSTED = 0.02
 """Damping below which that is so."""
+_PATIENCE = 5
+_HOPELESS = 50.0
+"""Cost per degree of freedom that is not followed further after so many steps."""
 _LOST = 1e3
 """Damping at which small promises mean that the iteration is stuck, not that it is done."""
 
@@ -154,7 +157,7 @@ def fit(data: PushData, prior: Prior, start: FloatArray, antenna: Antenna, error
     converged = np.zeros(n, dtype=bool)
     trial = x.copy()
     active = np.arange(n)
-    for _ in range(_ITERATIONS):
+    for step_number in range(_ITERATIONS):
         local = np.full(n, -1)
         local[active] = np.arange(active.size)
         rows = np.flatnonzero(local[data.contact] >= 0)
@@ -185,7 +188,9 @@ def fit(data: PushData, prior: Prior, start: FloatArray, antenna: Antenna, error
         converged[active[done]] = settled[done]
         last = active[done & settled]
         x[last], cost[last] = trial[last], cost[last] - promise[done & settled]
-        active = active[~done]
+        # What nothing explains after so many steps is left: it will not be believed.
+        hopeless = (step_number >= _PATIENCE) & (cost[active] > _HOPELESS * dof[active])
+        active = active[~(done | hopeless)]
         if active.size == 0:
             break
     matrix = normal + np.eye(5) * firm[:, None, :]

@@ -189,9 +189,7 @@ class Posterior:
             return
         self._take_distance(rows[~self._begun[rows]])
         self._begun[rows] = True
-        unsure = self._prior_sigma[rows, NU] >= SURE
-        self._keep(self._settle(self._of(rows[unsure]), searching=True))
-        self._keep(self._settle(self._of(rows[~unsure]), searching=False))
+        self._keep(self._settle(self._of(rows), self._prior_sigma[rows, NU] >= SURE))
         self._compare(rows)
 
     @property
@@ -284,7 +282,8 @@ class Posterior:
             self._of(rows[other]).turned(length),
             self._of(rows[other & loose]).turned(length).loosened(),
         ]
-        tried = self._settle(_Guess.concatenate(guesses), searching=True)
+        every = _Guess.concatenate(guesses)
+        tried = self._settle(every, np.ones(every.rows.size, dtype=bool))
         if tried.found is None:
             return
         self._choose(tried)
@@ -320,28 +319,34 @@ class Posterior:
         better = score[best] < own[order][first] - 1e-6
         self._keep(tried.take(best[better]))
 
-    def _settle(self, guess: _Guess, *, searching: bool) -> _Guess:
-        """Fit a guess to all pushes of its contacts; ``searching`` from the best of many states, else from its own."""
-        if guess.rows.size == 0:
+    def _settle(self, guess: _Guess, searching: BoolArray) -> _Guess:
+        """Fit a guess to all pushes of its contacts; those ``searching`` (n,) from the best of many states, the others
+        from their own.
+        """
+        n = guess.rows.size
+        if n == 0:
             return guess
         pushes, contact = _pushes_of(self._all.contact, guess.rows)
         data = replace(self._all.take(pushes, contact), tip=guess.tip[contact])
-        n = guess.rows.size
-        starts = guess.mean[:, None]
-        if searching:
-            starts = self._starts(guess)
-            cost = screen(data, guess.prior, starts, self._antenna, self._error)
+        every = np.arange(n)
+        start = guess.mean.copy()
+        search = np.flatnonzero(searching)
+        if search.size:
+            states = self._starts(guess.take(search))
+            pushes, contact = _pushes_of(data.contact, search)
+            prior = guess.prior.take(search)
+            cost = screen(data.take(pushes, contact), prior, states, self._antenna, self._error)
             some = np.argsort(cost, axis=1)[:, :STARTS]
-            starts = np.take_along_axis(starts, some[:, :, None], axis=1)
-        m = starts.shape[1]
-        if m > 1:
-            pushes, contact = _pushes_of(data.contact, np.tile(np.arange(n), m))
+            states = np.take_along_axis(states, some[:, :, None], axis=1)
+            start[search] = states[:, 0]
+            every = np.concatenate([every, *[search for _ in range(1, STARTS)]])
+            start = np.concatenate([start, *[states[:, i] for i in range(1, STARTS)]])
+        if every.size > n:
+            pushes, contact = _pushes_of(data.contact, every)
             data = data.take(pushes, contact)
-        prior = Prior(mean=np.tile(guess.prior.mean, (m, 1)), sigma=np.tile(guess.prior.sigma, (m, 1)))
-        found = fit(
-            data, prior, starts.transpose(1, 0, 2).reshape(-1, PARAMETERS), self._antenna, self._error
-        )
-        best = np.argmin(found.cost.reshape(m, n), axis=0) * n + np.arange(n)
+        found = fit(data, guess.prior.take(every), start, self._antenna, self._error)
+        order = np.lexsort((found.cost, every))
+        best = order[np.unique(every[order], return_index=True)[1]]
         return replace(guess, found=found.take(best))
 
     def _starts(self, guess: _Guess) -> FloatArray:
