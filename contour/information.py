@@ -89,7 +89,7 @@ class ModelError:
     """Of the moment of a touch with the tip, one value a push, relative."""
     tip_gain_tilt: float = 2e-4
     """More of it per squared tangent of the tilt."""
-    bending: float = 0.5
+    bending: float = 1.5
     """Of the curvature's change along the slide, per curvature squared: an ellipse's between its vertices."""
     bending_at_least: float = 5.0
     """Curvature that this always counts with [1/m]."""
