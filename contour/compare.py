@@ -62,6 +62,8 @@ LIKE_SIZES = 1.8
 """Sizes that differ by less are not a matter of units."""
 SAME_SIZE = 1.3
 """The right unit makes sizes agree within this factor."""
+HOPELESS = 8.0
+"""Sizes that differ by more are not compared, if no unit explains it."""
 ON_SURFACE = 0.05
 """Points nearer to the nominal surface, in their extent, say that its unit is right."""
 PROBES = 500
@@ -207,6 +209,8 @@ def check_units(target: Target, points: FloatArray, *, unit: str) -> tuple[str, 
     best = min(fits, key=lambda name: fits[name])
     if fits[best] < np.log(SAME_SIZE):
         raise UsageError(f"{sizes}: it looks like it is in {best}, not in {unit}; give --unit {best}")
+    if not 1.0 / HOPELESS < times < HOPELESS:
+        raise UsageError(f"{sizes}: they are not of one object; check the mesh and its unit")
     return (f"{sizes}: are they of one object?",)
 
 

@@ -79,7 +79,12 @@ def load_run(folder: Path) -> Run:
     contacts = _read(read_csv, folder / "contacts.csv")
     if contacts["id"].size == 0:
         raise UsageError(f"{folder} holds a scan without contacts: see how its contours ended in log.jsonl")
-    _, unit = _read(read_ply, folder / "points.ply")
+    points, unit = _read(read_ply, folder / "points.ply")
+    if points["x"].size != contacts["id"].size:
+        raise UsageError(
+            f"{folder} is damaged: contacts.csv has {contacts['id'].size} contacts, points.ply "
+            f"{points['x'].size}; scan again into a new folder"
+        )
     return Run(
         folder=folder,
         record=_read(read_json, folder / "run.json"),

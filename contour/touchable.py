@@ -64,15 +64,31 @@ def touchable(
         rows = np.flatnonzero(tip & ~found)
         if rows.size:
             start = off[rows] - middle
-            found[rows] = ~rays.blocked(start, start - length * beam)
+            found[rows] = _free(rays, start, start - length * beam, normals[rows], antenna.beam.radius)
         side = (np.abs(lean) <= np.sin(SIDE)) & (low <= np.minimum(high, length - BEYOND))
         rows = np.flatnonzero(side & ~found)
         if rows.size:
             along = beam + lean[rows, None] * normals[rows]
             along /= np.linalg.norm(along, axis=1)[:, None]
-            start = off[rows] - middle
-            found[rows] = ~rays.blocked(start - length * along, start + BEYOND * along)
+            start, end = off[rows] - middle + BEYOND * along, off[rows] - middle - length * along
+            found[rows] = _free(rays, start, end, normals[rows], antenna.beam.radius)
     return found
+
+
+def _free(
+    rays: RayCaster, start: FloatArray, end: FloatArray, normals: FloatArray, radius: float
+) -> BoolArray:
+    """Whether beams from ``start`` (k, 3) to ``end`` (k, 3) [m] are free (k,): their axis and four lines on them."""
+    along = end - start
+    aside = np.cross(along, normals)
+    aside *= radius / np.linalg.norm(aside, axis=1)[:, None]
+    up = np.cross(aside, along)
+    up *= radius / np.linalg.norm(up, axis=1)[:, None]
+    free = ~rays.blocked(start, end)
+    for shift in (aside, -aside, up, -up):
+        rows = np.flatnonzero(free)
+        free[rows] = ~rays.blocked(start[rows] + shift[rows], end[rows] + shift[rows])
+    return free
 
 
 def _beams(plan: Plan) -> list[tuple[FloatArray, float]]:

@@ -217,6 +217,8 @@ def test_metrics_are_shown_with_units():
         "coverage_95": 0.951,
         "s_error_rms_rel": None,
         "rungs": {"edge": 7},
+        "surface": {"watertight": True, "touched": 0.5, "seconds": 1.0, "notes": ["a [guess]", "open"]},
+        "comparison": {"accuracy_mean_m": 0.0003, "reachable_share": 0.25, "f_score_1mm": 0.75},
     }
     Console(file=text, width=100).print(metrics_table("thing", metrics))
     rows = [
@@ -227,6 +229,16 @@ def test_metrics_are_shown_with_units():
     assert ["point error rms", "0.250", "mm"] in rows
     assert ["coverage 95", "95.1", "%"] in rows
     assert ["rungs: edge", "7", ""] in rows
+    assert ["surface: watertight", "yes", ""] in rows
+    assert ["surface: touched", "50.0", "%"] in rows
+    assert ["surface: time", "1.00", "s"] in rows
+    assert [row for row in rows if row[:1] == ["surface: note"]] == [
+        ["surface: note", "a [guess]", ""],
+        ["surface: note", "open", ""],
+    ]
+    assert ["comparison: accuracy mean", "0.300", "mm"] in rows
+    assert ["comparison: reachable", "25.0", "%"] in rows
+    assert ["comparison: f score 1mm", "0.750", ""] in rows
     assert not any("s error" in row[0] for row in rows if row)
 
 

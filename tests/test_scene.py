@@ -10,7 +10,7 @@ import pytest
 from contour.cloud import read_json, write_json
 from contour.errors import UsageError
 from contour.quantities import DIMENSIONS, Key, read_section
-from contour.scene import PlanSettings, ScanSettings, load_scene
+from contour.scene import PlanSettings, ScanSettings, load_scene, scene_of_record
 
 BOX = np.array([[-0.05, -0.05, 0.0], [0.05, 0.05, 0.08]])
 
@@ -214,3 +214,34 @@ def test_every_unit_is_read_in_key_and_value(kind):
         in_key = read_section("test", {f"thing_{unit}": 2.5}, key)
         in_value = read_section("test", {"thing": f"2.5 {unit}"}, key)
         assert in_key == in_value == {"thing": pytest.approx(2.5 * size)}
+
+
+def test_scenes_come_back_from_their_record(scene_file, tmp_path):
+    """What run.json holds is the whole scene: infinite limits, lists and numbers included."""
+    full = (
+        "position_mm = [1, 2, 3]\nfriction_angle_deg = 7\n[antenna]\nlength_mm = 180\nmoment_noise_uNm = 5\n"
+        "moment_limit_mNm = 12\n[gantry]\nx_mm = [-100, 400]\nrotation_deg = [0, 0, 30]\napproach_speed_mm_s = 7\n"
+        '[scan]\nseed = 4\nsurface = "layers"\n[plan]\n'
+    )
+    families = (
+        'family = "levels"\naxis = [0, 0.8, -0.6]\nheights_mm = [10, 20]',
+        'family = "silhouettes"\ndirections = [[0, 1, 0], [1, 0, 0]]',
+    )
+    for text in ("", *(full + family for family in families)):
+        scene = load_scene(scene_file(text), unit="mm")
+        write_json(tmp_path / "record.json", scene.resolved())
+        again = scene_of_record(read_json(tmp_path / "record.json"))
+        write_json(tmp_path / "again.json", again.resolved())
+        assert read_json(tmp_path / "again.json") == read_json(tmp_path / "record.json")
+        assert (again.antenna, again.machine, again.scan, again.plan) == (
+            scene.antenna,
+            scene.machine,
+            scene.scan,
+            scene.plan,
+        )
+        np.testing.assert_array_equal(again.reach.lower, scene.reach.lower)
+        np.testing.assert_array_equal(again.reach.upper, scene.reach.upper)
+        assert again.reach.floor == scene.reach.floor
+        np.testing.assert_array_equal(again.mount.rotation, scene.mount.rotation)
+        np.testing.assert_array_equal(again.bodies[0].placement, scene.bodies[0].placement)
+        assert again.bodies[0].mesh == scene.bodies[0].mesh
