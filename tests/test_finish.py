@@ -42,6 +42,15 @@ def job(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def small(job):
+    """The same with a single contour, too little for a surface."""
+    path = job.scene.bodies[0].mesh.with_name("small.toml")
+    plan = '[plan]\nfamily = "silhouettes"\ndirections = [[0, 1, 0]]\nstep_mm = 40\n'
+    path.write_text(SCENE.partition("[plan]")[0] + plan, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
 def scanned(job, tmp_path_factory):
     """Its result folder and metrics."""
     folder = tmp_path_factory.mktemp("results") / "ball"
@@ -79,7 +88,7 @@ def test_a_scan_ends_with_surface_and_comparison(job, scanned):
     assert 0.0 < comparison["within_5mm_share"] < 1.0
 
 
-def test_metrics_are_written_last(job, tmp_path):
+def test_metrics_are_written_last(small, tmp_path):
     """When what follows a scan begins, all other files are there and metrics.json is not."""
     seen = {}
 
@@ -87,7 +96,7 @@ def test_metrics_are_written_last(job, tmp_path):
         seen.update({"files": {path.name for path in folder.iterdir()}, "contacts": columns["id"].size})
         return {"looked": 1}
 
-    metrics = run(job, tmp_path / "out", finish=look)
+    metrics = run(prepare(load_scene(small)), tmp_path / "out", finish=look)
     assert "metrics.json" not in seen["files"]
     assert seen["files"] >= {
         "contacts.csv",
@@ -101,14 +110,14 @@ def test_metrics_are_written_last(job, tmp_path):
     assert cloud.read_json(tmp_path / "out" / "metrics.json")["looked"] == 1
 
 
-def test_whatever_goes_wrong_then_the_scan_is_whole(job, tmp_path):
+def test_whatever_goes_wrong_then_the_scan_is_whole(small, tmp_path):
     """An error nobody foresaw is raised, and the folder is a finished scan all the same."""
 
     def fail(folder, columns):
         raise ZeroDivisionError(folder, columns["id"].size)
 
     with pytest.raises(ZeroDivisionError):
-        run(job, tmp_path / "out", finish=fail)
+        run(prepare(load_scene(small)), tmp_path / "out", finish=fail)
     assert load_run(tmp_path / "out").metrics["contacts"] > 0
 
 
@@ -166,8 +175,8 @@ def test_surface_methods_have_their_names(job, ball_run, tmp_path):
     assert main(["scan", str(scene), "--surface", "poison", "--dry-run"]) == WRONG_USAGE
 
 
-def test_the_command_shows_surface_and_comparison(job, tmp_path, capsys, monkeypatch):
-    """``contour scan --surface``: tables with units; with none there is neither file nor row."""
+def test_the_command_shows_surface_and_comparison(job, small, tmp_path, capsys, monkeypatch):
+    """``contour scan --surface``: tables with units, or the reason; with none there is neither file nor row."""
     monkeypatch.chdir(tmp_path)
     scene = str(job.scene.bodies[0].mesh.with_name("ball.toml"))
     assert main(["scan", scene, "--out", "with"]) == OK
@@ -175,7 +184,10 @@ def test_the_command_shows_surface_and_comparison(job, tmp_path, capsys, monkeyp
     assert "surface: watertight" in told
     assert "comparison: accuracy mean" in told
     assert (tmp_path / "with" / "surface.ply").exists()
-    assert main(["scan", scene, "--out", "without", "--surface", "none"]) == OK
+    assert main(["scan", str(small), "--out", "few"]) == OK
+    assert "surface: note" in capsys.readouterr().out
+    assert load_surface(load_run(tmp_path / "few")) is None
+    assert main(["scan", str(small), "--out", "without", "--surface", "none"]) == OK
     assert "surface" not in capsys.readouterr().out
     assert not (tmp_path / "without" / "surface.ply").exists()
     assert "surface" not in cloud.read_json(tmp_path / "without" / "metrics.json")
