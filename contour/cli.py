@@ -19,7 +19,7 @@ from contour.errors import ContourError, LinkError, UsageError
 if TYPE_CHECKING:
     from contour.scene import Scene
 
-__all__ = ["app", "compare", "demo", "doctor", "main", "scan"]
+__all__ = ["app", "compare", "demo", "doctor", "main", "scan", "view"]
 
 DEMO = "mug"
 """Shape that the demo maps."""
@@ -94,6 +94,35 @@ def compare(mesh: Path, run: Path, *, unit: str | None = None) -> int:
 
     console = Console(soft_wrap=True, highlight=False)
     console.print(metrics_table(f"{run} against {mesh}", compare_to(mesh, run, unit=unit)))
+    return OK
+
+
+@app.command
+def view(run: Path, *, what: str = "all", contact: int | None = None, out: Path | None = None) -> int:
+    """Show a finished scan in a window, or write a PNG where there is no display.
+
+    Args:
+        run: folder of the scan.
+        what: points, contours, surface, uncertainty, antenna, or all.
+        contact: id of the contact at which the antenna is shown.
+        out: a PNG to write instead of opening a window.
+    """
+    from contour.results import load_run
+    from contour.view import Picture, picture, window, window_possible
+
+    console = Console(soft_wrap=True, highlight=False, markup=False)
+    loaded = load_run(run)
+    shown: Picture | str = ""
+    if out is None:
+        shown = window(loaded, what=what, contact=contact) if window_possible() else "there is no display"
+    if isinstance(shown, str):
+        made = picture(loaded, out, what=what, contact=contact)
+        reason = f"no window could be opened ({shown}): " if shown else ""
+        console.print(f"{reason}{', '.join(made.views)} in {made.path}, drawn by {made.drawn_by}")
+    else:
+        made = shown
+    for note in made.notes:
+        console.print(note)
     return OK
 
 
