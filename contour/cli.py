@@ -19,7 +19,7 @@ from contour.errors import ContourError, LinkError, UsageError
 if TYPE_CHECKING:
     from contour.scene import Scene
 
-__all__ = ["app", "compare", "demo", "doctor", "main", "scan", "view"]
+__all__ = ["app", "compare", "demo", "doctor", "main", "report", "scan", "view"]
 
 DEMO = "mug"
 """Shape that the demo maps."""
@@ -135,6 +135,21 @@ def doctor() -> int:
     findings = examine()
     Console(soft_wrap=True).print(findings_table(findings))
     return OK if all(finding.good for finding in findings) else KNOWN_ERROR
+
+
+@app.command
+def report(run: Path) -> int:
+    """Write report.html into the folder of a finished scan: figures, charts and a 3-D view in one page.
+
+    Args:
+        run: folder of the scan.
+    """
+    from contour.report import write_report
+    from contour.results import load_run
+
+    path = write_report(load_run(run))
+    Console(soft_wrap=True, highlight=False, markup=False).print(f"report in {path}: open it in a browser")
+    return OK
 
 
 def _free_folder(out: Path | None, name: str) -> Path:
