@@ -114,7 +114,8 @@ def framed_points(panel: Panel) -> FloatArray:
         if layer.kind == "ellipsoids"
         for sign in (-1, 1)
     ]
-    return np.concatenate([layer.points for layer in framed] + longest)
+    points = np.concatenate([layer.points for layer in framed] + longest)
+    return points if len(points) else np.zeros((1, 3))  # nothing at all was felt
 
 
 def camera_of(panel: Panel, aspect: float) -> Camera:

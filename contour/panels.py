@@ -331,7 +331,7 @@ def _uncertainty(run: Run, surface: Surface | None, view: FloatArray) -> Panel:
     caption = f"median sigma of s {1e3 * usual:.2g} mm; thickness only so that they can be seen"
     caption += f"; {cut} longer than drawn" if cut else ""
     title = "Uncertainty of each contact"
-    layers = (*_body(surface), layer)
+    layers = (*_body(surface), *((layer,) if shown.any() else _flagged(run)))
     return Panel(name="uncertainty", title=title, caption=caption, layers=layers, view=view, bar=bar)
 
 

@@ -135,6 +135,8 @@ def _prepared(
     count = run.contour.size
     if contact is not None and not 0 <= contact < count:
         raise UsageError(f"--contact {contact} is not there: the run has contacts 0 to {count - 1}")
+    if contact is not None and not np.isfinite(run.points[contact]).all():
+        raise UsageError(f"--contact {contact} has no place: it was felt nowhere; choose another one")
     if not tolerance > 0.0:
         raise UsageError(f"tolerance is {1e3 * tolerance:g} mm: it must be above zero")
     surface = load_surface(run)
@@ -159,6 +161,8 @@ def _prepared(
 
 def _deviation(run: Run, surface: Surface) -> tuple[FloatArray | None, str]:
     """Deviation (v,) m of the surface from the meshes that the run's record names; why not, if not."""
+    if np.count_nonzero(run.good) < 2:
+        return None, "no deviation shown: fewer than two contacts have no flag"
     try:
         parts = [
             mesh_io.as_triangles(mesh_io.load_scene(body.mesh, unit=body.unit, transform=body.placement))

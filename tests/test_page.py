@@ -58,11 +58,16 @@ def test_views_that_were_drawn_elsewhere_are_put_in(tmp_path):
     assert 0.97 * wide * high < green <= wide * high
 
 
-def test_nothing_is_left_half_written(tmp_path):
-    """A page that fails leaves the old one."""
+def test_a_page_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
+    """The disk is full after half of it: the picture of before is still whole."""
     path = tmp_path / "page.png"
     path.write_bytes(b"old")
-    with pytest.raises(FileNotFoundError):
-        write_page(path, [_panel()], title="", foot="", views=[tmp_path / "absent.png"])
+
+    def half(_figure, target, **_options):
+        target.write_bytes(b"half")
+        raise OSError("no space left")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", half)
+    with pytest.raises(OSError, match="no space left"):
+        write_page(path, [_panel()], title="", foot="", views=None)
     assert path.read_bytes() == b"old"
-    assert [p.name for p in tmp_path.iterdir()] == ["page.png"]

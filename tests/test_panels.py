@@ -31,10 +31,10 @@ def _of(panel, kind):
     return [layer for layer in panel.layers if layer.kind == kind]
 
 
-def _with_flag(run, row):
+def _with_flag(run, row, *, aside=0.5):
     columns = {**run.contacts, "flags": run.contacts["flags"].copy(), "x_m": run.contacts["x_m"].copy()}
     columns["flags"][row] = int(Flag.UNRESOLVED)
-    columns["x_m"][row] += 0.5
+    columns["x_m"][row] += aside
     return replace(run, contacts=columns)
 
 
@@ -46,15 +46,23 @@ def test_every_view_has_its_panel(run):
 
 
 def test_contour_lines_join_neighbours_only(run):
-    """A closed contour has as many lines as contacts; a flagged contact takes both of its lines away."""
+    """A closed contour has as many lines as contacts; a flagged one takes both of its lines away."""
     (lines,) = _of(_one(run, "contours"), "lines")
     assert len(lines.cells) == run.contour.size
     steps = np.linalg.norm(np.diff(lines.points[lines.cells], axis=1)[:, 0], axis=1)
     assert steps.max() < 25e-3  # the step is 14 mm
     assert lines.values.min() == 0.0
     assert lines.values.max() == 100.0
-    (fewer,) = _of(_one(_with_flag(run, 10), "contours"), "lines")
+    (fewer,) = _of(_one(_with_flag(run, 10, aside=0.0), "contours"), "lines")
     assert len(fewer.cells) == run.contour.size - 2
+
+
+def test_contour_lines_do_not_cross_gaps(run):
+    """A good contact 0.2 m away from its neighbours is not joined to them."""
+    away = replace(run, contacts={**run.contacts, "x_m": run.contacts["x_m"].copy()})
+    away.contacts["x_m"][10] += 0.2
+    (lines,) = _of(_one(away, "contours"), "lines")
+    assert len(lines.cells) == run.contour.size - 2
 
 
 def test_the_order_along_a_contour_is_what_is_coloured(run):

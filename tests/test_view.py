@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from picture_runs import CRASH, copied_run, drawable
 
 from contour import view
 from contour.cli import OK, WRONG_USAGE, main
+from contour.contacts import Flag
 from contour.errors import UsageError
 from contour.results import SURFACE_FILE, load_run
 from contour.view import picture, window_possible
@@ -171,6 +173,36 @@ def test_wrong_wishes_are_one_line(options, message, folder, capsys):
     assert told.count("\n") == 1
     assert message in told
     assert not list(folder.glob("*.png"))
+
+
+def _changed(run, **columns):
+    return replace(run, contacts={**run.contacts, **columns})
+
+
+@pytest.mark.usefixtures("crashing")
+@pytest.mark.parametrize("surface", [True, False])
+def test_runs_with_nothing_good_still_have_a_picture(surface, folder):
+    """Every contact flagged, or one contact only: all four views, and no deviation from what was not felt."""
+    if not surface:
+        (folder / SURFACE_FILE).unlink()
+    run = load_run(folder)
+    made = picture(_changed(run, flags=np.full(run.contour.size, int(Flag.LOST))))
+    assert len(made.views) == 4
+    assert not surface or "fewer than two contacts" in made.notes[0]
+    single = replace(run, contacts={name: column[:1] for name, column in run.contacts.items()})
+    assert len(picture(single).views) == 4
+
+
+@pytest.mark.usefixtures("crashing")
+def test_contacts_without_a_place_are_left_out(folder):
+    """A contact that was lost has no numbers: the others are shown, and asking for it is refused."""
+    run = load_run(folder)
+    lost = {name: run.contacts[name].copy() for name in ("x_m", "y_m", "z_m", "flags")}
+    for column in lost.values():
+        column[5] = Flag.LOST if column is lost["flags"] else np.nan
+    assert len(picture(_changed(run, **lost)).views) == 4
+    with pytest.raises(UsageError, match="--contact 5 has no place"):
+        picture(_changed(run, **lost), contact=5)
 
 
 def test_half_written_runs_are_refused(folder, capsys):
