@@ -7,6 +7,7 @@ that nobody foresaw keep their traceback.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,6 +24,8 @@ __all__ = ["app", "compare", "demo", "doctor", "main", "report", "scan", "view"]
 
 DEMO = "mug"
 """Shape that the demo maps."""
+DEMO_STEP = 0.01
+"""Step along its contours [m], coarser than a scan's by itself: a demo takes a minute."""
 RESULTS = Path("results")
 """Folder of result folders, where none is asked for."""
 OK, KNOWN_ERROR, WRONG_USAGE, DEVICE_FAULT = 0, 1, 2, 3
@@ -44,6 +47,7 @@ def scan(
     strategy: str | None = None,
     seed: int | None = None,
     surface: str | None = None,
+    report: bool = True,
     dry_run: Annotated[bool, cyclopts.Parameter(negative=())] = False,
 ) -> int:
     """Map an object: contacts along contours round it, with their uncertainty.
@@ -55,12 +59,17 @@ def scan(
         strategy: model, bisection, bisection-limited or one-push.
         seed: of everything random.
         surface: auto, hermite, layers or none: how the surface is made from the contacts.
+        report: end with view.png and report.html too.
         dry_run: check everything and say what would be done, but do not scan.
     """
     from contour.scene import load_scene
 
     scene = load_scene(source, unit=unit, strategy=strategy, seed=seed, surface=surface)
-    return _scan(scene, _free_folder(out, scene.name), dry_run=dry_run)
+    folder = _free_folder(out, scene.name)
+    code = _scan(scene, folder, dry_run=dry_run)
+    if report and not dry_run:
+        _show(folder)
+    return code
 
 
 @app.command
@@ -77,7 +86,11 @@ def demo(*, out: Path | None = None) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     mesh = folder / f"{DEMO}.ply"
     shapes.write_mesh(mesh, shapes.load(DEMO).mesh(), DEMO)
-    return _scan(load_scene(mesh, unit="mm"), folder, dry_run=False)
+    scene = load_scene(mesh, unit="mm")
+    coarse = replace(scene, plan=replace(scene.plan, step=DEMO_STEP))
+    code = _scan(coarse, folder, dry_run=False)
+    _show(folder)
+    return code
 
 
 @app.command
@@ -181,6 +194,23 @@ def _scan(scene: Scene, folder: Path, *, dry_run: bool) -> int:
         metrics = run(job, folder, progress=report, finish=finishing(job))
     console.print(metrics_table(f"{scene.name}, results in {folder}", metrics))
     return OK
+
+
+def _show(folder: Path) -> None:
+    """End a scan with its picture and its report; what cannot be made is said, and the results stand."""
+    from contour.report import write_report
+    from contour.results import load_run
+    from contour.view import picture
+
+    console = Console(soft_wrap=True, highlight=False, markup=False)
+    try:
+        run = load_run(folder)
+        made = picture(run)
+        for note in made.notes:
+            console.print(note)
+        console.print(f"picture in {made.path}, report in {write_report(run)}")
+    except ContourError as error:
+        console.print(f"no picture and no report: {error}")
 
 
 def main(arguments: list[str] | None = None) -> int:
