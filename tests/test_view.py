@@ -88,10 +88,14 @@ def test_both_ways_show_the_same(folder, monkeypatch):
     rows, columns = slice(110, 1000), slice(60, 1540)
     first = picture(run, what="surface")
     vtk = _inked(first.path, rows, columns)
+    shaded = imread(first.path)
     monkeypatch.setattr(view, "_CHILD", CRASH)
     second = picture(run, what="surface")
     assert (first.drawn_by, second.drawn_by) == ("VTK", "matplotlib")
     painted = _inked(second.path, rows, columns)
+    # The one has light on smooth ground, the other flat triangles: nearly no pixel is the same.
+    same = np.all(shaded[rows, columns] == imread(second.path)[rows, columns], axis=2)
+    assert np.mean(same[vtk & painted]) < 0.5
     assert np.count_nonzero(vtk ^ painted) < 0.01 * np.count_nonzero(vtk)
     assert 0.2 < vtk.mean() < 0.8
 
