@@ -35,6 +35,8 @@ BEYOND = 2e-3
 """Beam past a contact of its side [m]."""
 CLEAR = 20e-6
 """Kept off the surface besides the beam's radius; rays are single precision [m]."""
+LINES = 8
+"""Lines round a beam that must be free too: slits thinner than it hold it back."""
 SAME = 1e-9
 """Directions nearer than this are one."""
 
@@ -78,16 +80,17 @@ def touchable(
 def _free(
     rays: RayCaster, start: FloatArray, end: FloatArray, normals: FloatArray, radius: float
 ) -> BoolArray:
-    """Whether beams from ``start`` (k, 3) to ``end`` (k, 3) [m] are free (k,): their axis and four lines on them."""
+    """Whether beams from ``start`` (k, 3) to ``end`` (k, 3) [m] are free (k,): their axis and lines on them."""
     along = end - start
     aside = np.cross(along, normals)
     aside *= radius / np.linalg.norm(aside, axis=1)[:, None]
     up = np.cross(aside, along)
     up *= radius / np.linalg.norm(up, axis=1)[:, None]
     free = ~rays.blocked(start, end)
-    for shift in (aside, -aside, up, -up):
+    for turn in 2.0 * np.pi * np.arange(LINES) / LINES:
         rows = np.flatnonzero(free)
-        free[rows] = ~rays.blocked(start[rows] + shift[rows], end[rows] + shift[rows])
+        shift = np.cos(turn) * up[rows] + np.sin(turn) * aside[rows]
+        free[rows] = ~rays.blocked(start[rows] + shift, end[rows] + shift)
     return free
 
 

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from made_runs import write_ball_run
+from made_runs import PLACE, write_ball_run
 
 from contour import cloud
 from contour.compare import check_units, compare, compare_run, reach_of, surface_of
 from contour.errors import UsageError
 from contour.mesh_env import MeshEnvironment
 from contour.nearest import Target, as_faces
-from contour.results import load_run
+from contour.results import SURFACE_FILE, load_run, write_surface
 from contour.scene import load_scene
 from contour.surface import Surface
 
@@ -228,6 +228,23 @@ def test_a_run_is_compared_with_its_mesh_in_its_place(ball_run):
     assert again.metrics() == found.metrics() | {"compare_s": again.seconds}
     with pytest.raises(UsageError, match="looks like it is in mm, not in m; give --unit mm"):
         compare_run(run, ball_run.parent / "ball.ply", unit="m")
+
+
+def test_flagged_contacts_touch_nothing_and_the_floor_limits_the_reach(ball_run, tmp_path):
+    """Contacts above the middle flagged: half is touched; a floor at the middle: a base stays above it."""
+    folder = shutil.copytree(ball_run, tmp_path / "run")
+    write_surface(folder / SURFACE_FILE, surface_of(load_run(ball_run)), unit="mm")
+    columns = cloud.read_csv(folder / "contacts.csv")
+    columns["flags"][columns["z_m"] > PLACE[2]] = columns["flags"][5]
+    cloud.write_csv(folder / "contacts.csv", columns)
+    run = load_run(folder)
+    _, found = compare_run(run, ball_run.parent / "ball.ply")
+    assert found.reachable == 1.0
+    assert found.touched == pytest.approx(0.5, abs=0.06)
+    scene = run.record["scene"]
+    limited = replace(run, record={"scene": {**scene, "reach": {**scene["reach"], "floor": float(PLACE[2])}}})
+    _, found = compare_run(limited, ball_run.parent / "ball.ply")
+    assert 0.4 < found.reachable < 0.8
 
 
 def test_a_plan_that_suits_nothing_is_said(ball_run):

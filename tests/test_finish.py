@@ -188,7 +188,9 @@ def test_the_command_shows_surface_and_comparison(job, small, tmp_path, capsys, 
     assert "surface: note" in capsys.readouterr().out
     assert load_surface(load_run(tmp_path / "few")) is None
     assert main(["scan", str(small), "--out", "without", "--surface", "none"]) == OK
-    assert "surface" not in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "surface: " not in told
+    assert "comparison: " not in told
     assert not (tmp_path / "without" / "surface.ply").exists()
     assert "surface" not in cloud.read_json(tmp_path / "without" / "metrics.json")
 

@@ -90,6 +90,23 @@ def test_gaps_narrower_than_the_beam_are_closed():
         assert found[between].any() == wanted
 
 
+@pytest.mark.parametrize("slit,wanted", [(0.6e-3, False), (2e-3, True)])
+def test_beams_do_not_fit_through_slits_thinner_than_they_are(slit, wanted):
+    """A ball behind a plate with a slit: its flank is in sight, but the beam is 0.8 mm thick."""
+    plates = [trimesh.creation.box(extents=(0.05, 0.002, 0.1)) for _ in range(2)]
+    for plate, side in zip(plates, (-1.0, 1.0), strict=True):
+        plate.apply_translation([0.0075 + side * (0.025 + 0.5 * slit), 0.0, 0.0])
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.01)
+    ball.apply_translation([0.0, 0.03, 0.0])
+    both = trimesh.util.concatenate([*plates, ball])
+    plan = orientation_plan([[0.0, 1.0, 0.0]], both.bounds, ANTENNA, MOUNT)
+    vertices, faces = as_faces(np.array(ball.triangles))
+    samples = sample_evenly(vertices, faces, 20_000, seed=0)
+    found = touchable(samples.points, samples.normals, np.array(both.triangles), plan, ANTENNA, MOUNT)
+    assert found.any() == wanted
+    assert not found[samples.points[:, 0] < 0.004].any()
+
+
 def test_the_side_touches_only_what_is_square_to_the_beam():
     """One direction, along which a tip finds no room to stand: a ball's band of 5 deg, on both sides, no more."""
     ball = trimesh.creation.icosphere(subdivisions=5, radius=0.03)
