@@ -24,8 +24,9 @@ __all__ = ["app", "compare", "demo", "doctor", "main", "report", "scan", "view"]
 
 DEMO = "mug"
 """Shape that the demo maps."""
-DEMO_STEP = 0.01
+DEMO_STEP = 0.014
 """Step along its contours [m], coarser than a scan's by itself: a demo takes a minute."""
+DEMO_CONTOURS = 24
 RESULTS = Path("results")
 """Folder of result folders, where none is asked for."""
 OK, KNOWN_ERROR, WRONG_USAGE, DEVICE_FAULT = 0, 1, 2, 3
@@ -87,7 +88,7 @@ def demo(*, out: Path | None = None) -> int:
     mesh = folder / f"{DEMO}.ply"
     shapes.write_mesh(mesh, shapes.load(DEMO).mesh(), DEMO)
     scene = load_scene(mesh, unit="mm")
-    coarse = replace(scene, plan=replace(scene.plan, step=DEMO_STEP))
+    coarse = replace(scene, plan=replace(scene.plan, step=DEMO_STEP, contours=DEMO_CONTOURS))
     code = _scan(coarse, folder, dry_run=False)
     _show(folder)
     return code
