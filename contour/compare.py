@@ -28,6 +28,7 @@ from contour.surface import Surface, reconstruct, samples_of
 from contour.touchable import touchable
 
 __all__ = [
+    "TOLERANCE",
     "Comparison",
     "Distances",
     "check_units",
@@ -44,6 +45,8 @@ IntArray = NDArray[np.int64]
 Reachable = Callable[[FloatArray, FloatArray], BoolArray]
 """``reachable(points, normals)``: which places (m, 3) [m] with outward normals (m, 3) count."""
 
+TOLERANCE = 0.3e-3
+"""Deviation that counts as good where nobody says another [m]."""
 SAMPLES = 30_000
 """Samples of either surface."""
 SEED = 0

@@ -14,18 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from contour.compare import TOLERANCE
 from contour.panel import UNTOUCHED, Bar, Layer, Panel
 from contour.results import Run
 from contour.stance import Stance, beam_directions, stance_of
 from contour.surface import FAR, TOUCH, Surface
 
-__all__ = ["TOLERANCE", "build_panels", "default_contact", "title_of"]
+__all__ = ["build_panels", "default_contact", "title_of"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-TOLERANCE = 0.3e-3
-"""Deviation that counts as good where the caller does not say [m]."""
 _BODY = "#d9d5cc"
 _FLAGGED = "#d62728"
 _BEAM = "#20242c"

@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contour import mesh_io
-from contour.compare import compare
+from contour.compare import TOLERANCE, compare
 from contour.errors import ContourError, UsageError
 from contour.page import view_size, write_page
 from contour.panel import VIEWS, Panel, save_panels
-from contour.panels import TOLERANCE, build_panels, title_of
+from contour.panels import build_panels, title_of
 from contour.quantities import closest
 from contour.render import PANELS, picture_name
 from contour.results import Run, load_surface

@@ -16,6 +16,7 @@ from scipy.spatial import KDTree
 
 from contour.charts import nice_ceiling
 from contour.claims import Claims
+from contour.compare import TOLERANCE
 from contour.contacts import Flag, Kind, flag_names
 from contour.results import Run
 from contour.surface import FAR, Surface
@@ -27,8 +28,6 @@ IntArray = NDArray[np.int64]
 
 MOST_FACES = 100_000
 """Triangles of the surface on a page; larger ones are made coarser, which is said."""
-TOLERANCE = 0.3e-3
-"""Deviation that is marked on the scale [m]."""
 GAP = 4.0
 """Neighbours farther apart than this many usual steps are not joined by a line."""
 MM = 1e3

@@ -91,8 +91,8 @@ def _events(folder):
 
 
 def test_a_scan_writes_its_whole_folder(results):
-    """All files, and none half-written beside them."""
-    assert {path.name for path in results.iterdir()} == FILES
+    """All files, picture and report too, and none half-written beside them."""
+    assert {path.name for path in results.iterdir()} == FILES | {"view.png", "report.html"}
 
 
 def test_metrics_have_all_figures(results):
