@@ -191,6 +191,10 @@ def _scan(scene: Scene, folder: Path, *, dry_run: bool) -> int:
     if dry_run:
         console.print(metrics_table(f"{scene.name}, not scanned", job.outlook()))
         return OK
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{folder} cannot be made ({error.strerror}): choose another --out") from error
     with Reporter(console) as report:
         metrics = run(job, folder, progress=report, finish=finishing(job))
     console.print(metrics_table(f"{scene.name}, results in {folder}", metrics))

@@ -162,6 +162,8 @@ def read_ply(path: Path) -> tuple[Table, str]:
             count = int(words[2]) if element == "vertex" else count
         elif words[:1] == ["property"] and element == "vertex":
             fields.append((words[2], _PLY_TYPES[words[1]]))
+    if len(body) < count * np.dtype(fields).itemsize:
+        raise UsageError(f"{path} is cut short: it has not the {count} points it speaks of; make it again")
     rows = np.frombuffer(body, dtype=np.dtype(fields), count=count)
     return {name: rows[name].copy() for name, _ in fields}, unit
 

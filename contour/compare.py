@@ -47,6 +47,10 @@ Reachable = Callable[[FloatArray, FloatArray], BoolArray]
 
 TOLERANCE = 0.3e-3
 """Deviation that counts as good where nobody says another [m]."""
+FAR_APART = 0.05
+"""Mean distance of the surface from the mesh, over the mesh's length, from which it is asked whether the two belong
+together.
+"""
 SAMPLES = 30_000
 """Samples of either surface."""
 SEED = 0
@@ -238,6 +242,8 @@ def compare_run(run: Run, mesh: Path, *, unit: str | None = None) -> tuple[Surfa
     except UsageError as error:
         notes = (f"all of the nominal surface counts as reachable, since no plan suits it: {error}",)
     found = compare(surface, triangles, points=points, normals=normals, reachable=reachable, unit=read_in)
+    if found.accuracy.mean > FAR_APART * float(np.ptp(triangles.reshape(-1, 3), axis=0).max()):
+        notes += ("surface and mesh lie far apart: are they of one object, in one place?",)
     return surface, replace(found, notes=notes + found.notes)
 
 
@@ -274,7 +280,7 @@ def reach_of(scene: Scene, triangles: FloatArray) -> Reachable:
 def _scene(run: Run) -> Scene:
     """What was scanned, as the run wrote it down."""
     try:
-        return scene_of_record(run.record["scene"])
+        return scene_of_record(run.record["scene"], run.folder)
     except (KeyError, TypeError, IndexError) as error:
         raise UsageError(
             f"{run.folder / 'run.json'} does not say what was scanned ({error!r}): scan again"

@@ -152,7 +152,7 @@ def _deviation(run: Run, surface: Surface | None) -> tuple[FloatArray | None, tu
     from contour.scene import scene_of_record
 
     try:
-        bodies = scene_of_record(run.record["scene"]).bodies
+        bodies = scene_of_record(run.record["scene"], run.folder).bodies
     except (KeyError, TypeError, IndexError):
         return None, ("run.json names no mesh: deviations from a nominal surface are not known.",)
     try:

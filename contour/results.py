@@ -144,6 +144,8 @@ def load_surface(run: Run) -> Surface | None:
     lines = head.decode("utf-8").split("\n")
     counts = {line.split()[1]: int(line.split()[2]) for line in lines if line.startswith("element")}
     size = counts["face"] * 13
+    if len(body) < size + counts["vertex"] * sum(column.itemsize for column in columns.values()):
+        raise UsageError(f"{path} is cut short: remove it, and contour compare makes it again")
     rows = np.frombuffer(body[len(body) - size :], dtype=[("count", "u1"), ("corners", "<i4", (3,))])
     scale = METRES_PER[unit]
     faces = rows["corners"].astype(np.int64)

@@ -279,8 +279,11 @@ def load_scene(
     return replace(scene, bodies=bodies, scan=scan, machine=replace(scene.machine, seed=scan.seed))
 
 
-def scene_of_record(record: Mapping[str, Any]) -> Scene:
-    """The scene that :meth:`Scene.resolved` wrote down, as ``run.json`` has it."""
+def scene_of_record(record: Mapping[str, Any], folder: Path | None = None) -> Scene:
+    """The scene that :meth:`Scene.resolved` wrote down, as ``run.json`` has it.
+
+    Meshes that are not where the record says are looked for in ``folder``, by their names.
+    """
     antenna, machine, plan = record["antenna"], record["machine"], record["plan"]
     limits = {
         name: np.array([least if number is None else number for number in record["reach"][name]])
@@ -289,7 +292,7 @@ def scene_of_record(record: Mapping[str, Any]) -> Scene:
     floor = record["reach"]["floor"]
     sensor = Sensor(**antenna["sensor"])
     bodies = [
-        {**body, "mesh": Path(body["mesh"]), "placement": np.array(body["placement"])}
+        {**body, "mesh": _found(Path(body["mesh"]), folder), "placement": np.array(body["placement"])}
         for body in record["objects"]
     ]
     return Scene(
@@ -309,6 +312,12 @@ def scene_of_record(record: Mapping[str, Any]) -> Scene:
             }
         ),
     )
+
+
+def _found(mesh: Path, folder: Path | None) -> Path:
+    """A mesh where it was, or else beside the results."""
+    beside = None if folder is None else folder / mesh.name
+    return beside if beside is not None and not mesh.is_file() and beside.is_file() else mesh
 
 
 def _parse(path: Path) -> dict[str, Any]:

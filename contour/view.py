@@ -166,7 +166,7 @@ def _deviation(run: Run, surface: Surface) -> tuple[FloatArray | None, str]:
     try:
         parts = [
             mesh_io.as_triangles(mesh_io.load_scene(body.mesh, unit=body.unit, transform=body.placement))
-            for body in scene_of_record(run.record["scene"]).bodies
+            for body in scene_of_record(run.record["scene"], run.folder).bodies
         ]
         triangles = np.concatenate([part.vertices[part.faces] for part in parts])
         found = compare(surface, triangles, points=run.points[run.good], normals=run.normals[run.good])

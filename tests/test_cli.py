@@ -252,3 +252,10 @@ def test_runs_as_a_module():
         timeout=60,
     )
     assert done.stdout.strip() == f"contour {__version__}"
+
+
+def test_a_folder_that_cannot_be_made_is_said_before_the_scan(small_scene, capsys, tmp_path):
+    """A file stands where a folder is needed."""
+    (tmp_path / "file").write_text("x", encoding="utf-8")
+    assert main(["scan", str(small_scene), "--out", str(tmp_path / "file" / "out")]) == WRONG_USAGE
+    assert "cannot be made" in capsys.readouterr().err

@@ -16,7 +16,7 @@ from contour.errors import UsageError
 from contour.mesh_env import MeshEnvironment
 from contour.nearest import Target, as_faces
 from contour.results import SURFACE_FILE, load_run, write_surface
-from contour.scene import load_scene
+from contour.scene import load_scene, scene_of_record
 from contour.surface import Surface
 
 
@@ -274,3 +274,26 @@ def test_runs_without_a_surface_or_a_scene_are_refused(ball_run, tmp_path):
         compare_run(load_run(flat), ball_run.parent / "ball.ply")
     before["run.json"] = (flat / "run.json").read_bytes()
     assert {path.name: path.read_bytes() for path in flat.iterdir()} == before
+
+
+def test_a_mesh_that_moved_with_its_run_is_found(ball_run, tmp_path):
+    """Where the recorded path leads nowhere, the mesh of that name in the run's folder is meant."""
+    folder = shutil.copytree(ball_run, tmp_path / "run")
+    shutil.copy(ball_run.parent / "ball.ply", folder / "ball.ply")
+    record = cloud.read_json(folder / "run.json")
+    record["scene"]["objects"][0]["mesh"] = "gone/ball.ply"
+    cloud.write_json(folder / "run.json", record)
+    assert scene_of_record(load_run(folder).record["scene"], folder).bodies[0].mesh == folder / "ball.ply"
+    (folder / "ball.ply").unlink()
+    assert str(scene_of_record(load_run(folder).record["scene"], folder).bodies[0].mesh) == "gone/ball.ply"
+
+
+def test_another_object_is_asked_about(ball_run, tmp_path):
+    """A ball of the right size in the wrong place is compared, and the doubt is said."""
+    moved = trimesh.load_mesh(ball_run.parent / "ball.ply")
+    moved.apply_translation([300.0, 0.0, 0.0])
+    moved.export(tmp_path / "moved.ply")
+    _, found = compare_run(load_run(ball_run), tmp_path / "moved.ply", unit="mm")
+    assert any("are they of one object" in note for note in found.notes)
+    _, found = compare_run(load_run(ball_run), ball_run.parent / "ball.ply")
+    assert not any("are they of one object" in note for note in found.notes)

@@ -185,3 +185,14 @@ def test_a_foreign_surface_is_refused(run_copy):
     trimesh.creation.box().export(run_copy / SURFACE_FILE)
     with pytest.raises(UsageError, match="no surface with trust"):
         load_surface(load_run(run_copy))
+
+
+@pytest.mark.parametrize("kept", [400, 0.5, 0.99])
+def test_a_surface_cut_short_is_refused(run_copy, rng, kept):
+    """A full disk may leave half of it: one line, and what to do."""
+    path = run_copy / SURFACE_FILE
+    write_surface(path, _surface(rng), unit="mm")
+    content = path.read_bytes()
+    path.write_bytes(content[: kept if kept > 1 else int(kept * len(content))])
+    with pytest.raises(UsageError, match=r"surface\.ply is (cut short|not a binary)"):
+        load_surface(load_run(run_copy))
