@@ -12,7 +12,7 @@ from contour.antenna import Antenna, Sensor
 from contour.contacts import Contacts, Kind
 from contour.frames import Mount
 from contour.machine import MachineModel, NoiseKey
-from contour.sensing import Action, Strategy, Touch
+from contour.sensing import Action, Bins, Strategy, Touch, binned
 from contour.virtual import TrueContact, VirtualAntenna
 
 QUIET = Sensor(moment_noise=1e-9, moment_drift=0.0, encoder_step=1e-9)
@@ -100,6 +100,22 @@ class Bench:
             expected_sigma=np.full(n, np.deg2rad(20.0)),
             fresh=np.ones(n, dtype=bool),
         )
+
+    def first_push(self, eps: np.ndarray, angle: float) -> tuple[Bins, Touch]:
+        """Bins of one push of every contact, ``eps`` (n,) rad off the inner normal, and the touches they began at."""
+        touch = self.touch()
+        n = len(touch)
+        reading, _ = self._virtual.push(
+            self.truth,
+            which=np.arange(n),
+            key=NoiseKey(antenna=np.arange(n), approach=np.ones(n, dtype=int), push=np.ones(n, dtype=int)),
+            clock=np.zeros(n),
+            joints=touch.joints,
+            phi=self.truth.outward + np.pi + eps,
+            angle=np.full(n, angle),
+            moment_limit=np.full(n, 0.015),
+        )
+        return binned(reading, touch, self.antenna, self.mount), touch
 
     def localise(self, strategy: Strategy, *, fresh=True, drop_after: int = 20, **changes) -> Contacts:
         """Contacts from ``strategy``; ``changes`` replace fields of the touch.

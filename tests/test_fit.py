@@ -9,28 +9,14 @@ from contour.antenna import Sensor
 from contour.fit import TAIL, Prior, expected_covariance, fit, screen
 from contour.frames import wrap_angle
 from contour.information import BEND, LN_S, LN_TAN_ALPHA, NU, R_ALONG, ModelError, prepare
-from contour.machine import NoiseKey
-from contour.sensing import binned
 
 LOOSE = np.array([0.5, np.deg2rad(20.0), 0.9, 0.4, 6.0])
 
 
 def pushed(bench: Bench, eps: np.ndarray, angle: float):
     """Data of one push of every contact of ``bench``, ``eps`` off the inner normal."""
-    touch = bench.touch()
-    n = len(touch)
-    reading, _ = bench._virtual.push(
-        bench.truth,
-        which=np.arange(n),
-        key=NoiseKey(antenna=np.arange(n), approach=np.ones(n, dtype=int), push=np.ones(n, dtype=int)),
-        clock=np.zeros(n),
-        joints=touch.joints,
-        phi=bench.truth.outward + np.pi + eps,
-        angle=np.full(n, angle),
-        moment_limit=np.full(n, 0.015),
-    )
-    bins = binned(reading, touch, bench.antenna, bench.mount)
-    return prepare(bins, touch, bench.truth.distance, np.arange(n), bench.antenna)
+    bins, touch = bench.first_push(eps, angle)
+    return prepare(bins, touch, bench.truth.distance, np.arange(len(touch)), bench.antenna)
 
 
 def true_state(truth) -> np.ndarray:

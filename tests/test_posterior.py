@@ -11,31 +11,17 @@ from contour.contacts import Kind
 from contour.fit import Prior
 from contour.frames import wrap_angle
 from contour.information import BEND, LN_S, LN_TAN_ALPHA, NU, R_ALONG, ModelError
-from contour.machine import NoiseKey
 from contour.posterior import Posterior
-from contour.sensing import binned
 
 
 def told(bench: Bench, prior: Prior, eps: np.ndarray, angle: float, *, tip: bool = False) -> Posterior:
     """What one push of every contact of ``bench``, ``eps`` off the inner normal, leaves to believe."""
-    touch = bench.touch()
+    bins, touch = bench.first_push(eps, angle)
     n = len(touch)
-    reading, _ = bench._virtual.push(
-        bench.truth,
-        which=np.arange(n),
-        key=NoiseKey(antenna=np.arange(n), approach=np.ones(n, dtype=int), push=np.ones(n, dtype=int)),
-        clock=np.zeros(n),
-        joints=touch.joints,
-        phi=bench.truth.outward + np.pi + eps,
-        angle=np.full(n, angle),
-        moment_limit=np.full(n, 0.015),
-    )
     believed = Posterior(prior, np.zeros(n, dtype=bool), bench.antenna, ModelError())
     if tip:
         believed.as_tip(np.arange(n))
-    believed.tell(
-        np.arange(n), binned(reading, touch, bench.antenna, bench.mount), touch, np.ones(n, dtype=bool)
-    )
+    believed.tell(np.arange(n), bins, touch, np.ones(n, dtype=bool))
     return believed
 
 
